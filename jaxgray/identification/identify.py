@@ -1,0 +1,241 @@
+"""From records to a physical model: the pipeline, nothing else."""
+
+import warnings as python_warnings
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..mechanics.drives import Force
+from ..mechanics.model import MechanicalModel
+from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.progress import AbstractProgress, Silent
+from ..numerics.runtime import ready
+from ..records import Record, check_compatible, preflight
+from .options import drive_of, fixed_entries, parse_fix, pick, with_known
+from .physical import Scaling
+from .prediction import Batch, Setting
+from .preparation import Signals, prepare, scaling_of
+from .projection import WEIGHTS
+from .realization import MAPS
+from .reach import check_reach
+from .refine import refine as refine_model
+from .result import Identification, assess
+from .start import Start, filled, model_run, nearest_physical, regression_start, subspace_start
+from .structure import structure_of
+from .sweep import default_time_constants, usable_block_rows
+
+POOR = 0.3
+"""Share of an output's power left by the subspace start above which the regression start is tried too."""
+
+
+def identify(
+    record: Record | list[Record],
+    *,
+    refine: bool = True,
+    validation: Record | list[Record] | None = None,
+    time_constants=None,
+    block_rows=None,
+    weight="moesp",
+    map="exact",
+    input_matrix_from: str = "record",
+    excitation: str = "force",
+    input_map=None,
+    relative: bool = False,
+    structure=None,
+    fix=None,
+    noise: str = "output-error",
+    progress: AbstractProgress | None = None,
+) -> Identification:
+    """Mass, damping and stiffness of M q̈ + D q̇ + K q = E u from measured records.
+
+    Subspace start in the λ-operator (and a regression start where that serves better), then prediction-error
+    refinement over physically valid matrices.
+
+    **Arguments:**
+
+    - `record`: one record, or several of the same system.
+    - `refine`: refine by prediction error (default), or stop at the start.
+    - `validation`: records that the fit does not see; their fit is reported.
+    - `time_constants`: τ [s] to try, one or several; default a logarithmic grid from the record.
+    - `block_rows`: i to try, one or several; default 4, 6, 8, 10 as the record allows.
+    - `weight`: "moesp" (default), "n4sid", "cva", "past-inputs", or a weight object.
+    - `map`: "exact" (default) or "paper", from the λ-operator to continuous time.
+    - `input_matrix_from`: "record" (default) or "factor", how the subspace start finds the input matrix.
+    - `excitation`: "force" (default), "base-displacement", "base-acceleration", or "base" (kind by unit).
+    - `input_map`: where inputs act: text "u1:y1,u2:y1-y2", a matrix outputs × inputs, or None (input j on the
+        coordinate of output j).
+    - `relative`: whether outputs are measured relative to a moving base; default False.
+    - `structure`: any of "diagonal-mass", "chain", "modal-damping"; default none.
+    - `fix`: known entries, "stiffness[0,1]=0,…" or a mapping; in the record's units; default none.
+    - `noise`: "output-error" (default) or "innovations", when noise enters at the forces too.
+    - `progress`: told of every stage; silent by default.
+
+    **Returns:** an `Identification`.
+
+    **Raises:** `ValueError` for arguments or data that cannot serve; `ComputationError` when a computation
+    fails, with the stage and what to try.
+
+    **Reference:** Olofsson, Sörnmo, Robertsson & Johansson, *Continuous-time gray-box identification of
+    mechanical systems using subspace-based identification methods*.
+    """
+    ready()
+    progress = Silent() if progress is None else progress
+    records = _as_records(record, "record")
+    held_out = [] if validation is None else _as_records(validation, "validation")
+    check_compatible(records + held_out)
+    notes = _preflight(records)
+    if noise not in ("output-error", "innovations"):
+        raise ValueError(f"noise={noise!r} is not known; choose 'output-error' or 'innovations'.")
+    if input_matrix_from not in ("record", "factor"):
+        raise ValueError(f"input_matrix_from={input_matrix_from!r} is not known; choose 'record' or 'factor'.")
+    weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
+    drive = drive_of(records[0], excitation, input_map, relative)
+    form = structure_of(structure)
+    entries = parse_fix(fix)
+
+    progress.stage("preparing")
+    scaling = scaling_of(records)
+    if not isinstance(drive, Force) and not any(name == "mass" for name, _, _ in entries):
+        entries["mass", 0, 0] = 1.0
+        notes.append(
+            "Base excitation determines M⁻¹D and M⁻¹K only: the model is normalised to mass[0,0] = 1; give a mass "
+            "with fix to set the scale."
+        )
+    held, known = fixed_entries(entries, form, scaling)
+    setting = Setting(
+        drive.scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time),
+        records[0].measured,
+        records[0].hold,
+    )
+    signals = [prepare(r, scaling) for r in records]
+    complete = filled(records, scaling, None) if any(r.has_missing for r in records) else signals
+    check_reach(complete, records[0].input_names, records[0].output_names)
+
+    def begin(data: list[Signals]) -> Start:
+        return _start(
+            data, setting, records, scaling, time_constants, block_rows, weight, map, input_matrix_from, known,
+            progress,
+        )
+
+    start = begin(complete)
+    if complete is not signals:
+        runs = [model_run(start.matrices, setting, s)[0] for s in complete]
+        start = begin(filled(records, scaling, runs))
+
+    M, D, K = (np.asarray(X) for X in nearest_physical(start.matrices))
+    M, D, K = (with_known(X, known[name]) for X, name in ((M, "mass"), (D, "damping"), (K, "stiffness")))
+    batch = Batch.of(signals)
+    refinement = None
+    if refine:
+        progress.stage("refining")
+        refinement = refine_model(
+            (jnp.asarray(M), jnp.asarray(D), jnp.asarray(K)),
+            batch,
+            setting,
+            structure=form,
+            offset=bool(np.linalg.eigvalsh(K)[0] > 1e-6 * np.linalg.eigvalsh(K)[-1]),
+            innovations=noise == "innovations",
+            fixed=held,
+            deviation=jnp.asarray(start.deviation),
+        )
+        M, D, K = refinement.mass, refinement.damping, refinement.stiffness
+    progress.stage("assessing")
+    matrices = [np.asarray(X) for X in scaling.matrices_out(M, D, K)]
+    for matrix, name in zip(matrices, ("mass", "damping", "stiffness")):
+        for (owner, r, c), value in entries.items():
+            if owner == name:
+                matrix[r, c] = matrix[c, r] = value
+    model = MechanicalModel(
+        *matrices,
+        drive=drive,
+        measured=records[0].measured,
+        input_names=records[0].input_names,
+        output_names=records[0].output_names,
+        input_units=records[0].input_units,
+        output_units=records[0].output_units,
+    )
+    return assess(
+        model, records, held_out, setting, scaling, signals, batch, form, held, start, refinement, tuple(notes)
+    )
+
+
+def _as_records(record, name: str) -> list[Record]:
+    records = [record] if isinstance(record, Record) else list(record)
+    if not records or not all(isinstance(r, Record) for r in records):
+        raise ValueError(f"{name} must be a Record or a non-empty list of them; read a file with read_record.")
+    return records
+
+
+def _preflight(records: list[Record]) -> list[str]:
+    """Findings on the raw record, as notes; those that leave nothing to identify are raised."""
+    notes = []
+    for record in records:
+        for finding in preflight(record):
+            if finding.effect == "identical_outputs":
+                raise ComputationError(
+                    RESULTS.singular_state_basis, stage="raw record", detail=finding.message.rstrip(".")
+                )
+            notes.append(finding.message)
+    return notes
+
+
+def _grid(values, default, name: str) -> np.ndarray:
+    if values is None:
+        return np.asarray(default)
+    grid = np.unique(np.atleast_1d(np.asarray(values, dtype=float)))
+    if grid.size == 0 or not np.all(np.isfinite(grid)) or np.any(grid <= 0):
+        raise ValueError(f"{name}={values} must be positive; give one number or several.")
+    return grid
+
+
+def _start(
+    signals, setting, records, scaling, time_constants, block_rows, weight, map, input_matrix_from, known, progress
+) -> Start:
+    """The better of the subspace and the regression start."""
+    longest = max(records, key=lambda r: r.samples)
+    taus = _grid(time_constants, default_time_constants(longest), "time_constants")
+    rows = _grid(block_rows, usable_block_rows(longest), "block_rows")
+    if np.any(rows != np.round(rows)) or np.any(rows < 3):
+        raise ValueError(f"block_rows={block_rows} must be whole numbers of at least 3.")
+    rows = tuple(int(i) for i in rows)
+    columns = 2 * max(rows) * (longest.inputs + longest.outputs + 1)
+    if longest.samples <= columns:
+        raise ComputationError(
+            RESULTS.too_short,
+            stage="subspace start",
+            detail=f"{longest.samples} samples for {max(rows)} block rows, which need more than {columns}",
+        )
+    mass = known["mass"]
+    known_mass = jnp.asarray(mass) if np.all(np.isfinite(mass)) else None
+    progress.stage("subspace start")
+    first = failure = None
+    try:
+        first = subspace_start(
+            signals,
+            setting,
+            taus,
+            rows,
+            scaling.sampling_time,
+            weight=weight,
+            map=map,
+            input_matrix_from=input_matrix_from,
+            known_mass=known_mass,
+        )
+    except ComputationError as error:
+        failure = error
+    if first is not None and np.all(first.deviation < POOR):
+        return first
+    if isinstance(setting.drive, Force):
+        progress.stage("regression start")
+        try:
+            with python_warnings.catch_warnings():
+                python_warnings.simplefilter("ignore", RuntimeWarning)
+                second = regression_start(signals, setting, taus, scaling.sampling_time, first)
+        except ComputationError as error:
+            failure = failure or error
+        else:
+            if first is None or second.score > first.score:
+                return second
+    if first is None:
+        raise failure
+    return first

@@ -1,0 +1,162 @@
+"""Mass, damping and stiffness from the realisation: convex problems over semidefinite matrices.
+
+Everything is in scaled coordinates with time counted in samples; `Scaling` leads back to the record's units.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..mechanics.drives import ORDER
+from ..numerics.linear_algebra import duplication, from_symmetric_vector, symmetric_vector
+from ..numerics.positive import AbstractPositiveSolver, PositiveLeastSquares
+from .input_matrix import InputFit
+from .realization import Realization
+
+FLOOR = 1e-6
+"""Smallest eigenvalue allowed to an inverse mass, relative to the mean one."""
+
+
+class Scaling(eqx.Module):
+    """Units in which every channel has unit size and time is counted in samples.
+
+    `inputs`, `outputs`: size of each channel; `coordinates`: the size of each displacement that goes with
+    its output; `sampling_time` [s].
+    """
+
+    inputs: Float[Array, " inputs"]
+    outputs: Float[Array, " outputs"]
+    coordinates: Float[Array, " dofs"]
+    sampling_time: float
+
+    @classmethod
+    def of(cls, inputs, outputs, sampling_time, measured) -> "Scaling":
+        """Scaling from the sizes of the channels and what the outputs measure."""
+        order = np.array([ORDER[kind] for kind in measured])
+        return cls(jnp.asarray(inputs), jnp.asarray(outputs), outputs * sampling_time**order, sampling_time)
+
+    def input_map(self, E: Float[Array, "dofs inputs"]) -> Float[Array, "dofs inputs"]:
+        """E in scaled coordinates."""
+        return self.coordinates[:, None] * E * self.inputs[None, :]
+
+    def matrices_in(self, M: Array, D: Array, K: Array) -> tuple[Array, Array, Array]:
+        """M, D, K in scaled coordinates."""
+        outer = self.coordinates[:, None] * self.coordinates[None, :]
+        return M * outer / self.sampling_time**2, D * outer / self.sampling_time, K * outer
+
+    def matrices_out(self, M: Array, D: Array, K: Array) -> tuple[Array, Array, Array]:
+        """M, D, K in the record's units."""
+        outer = self.coordinates[:, None] * self.coordinates[None, :]
+        return M / outer * self.sampling_time**2, D / outer * self.sampling_time, K / outer
+
+
+def input_matrix(fit: InputFit) -> Float[Array, " entries"]:
+    """vec(B₂) (row by row) without constraints."""
+    Q, R = jnp.linalg.qr(fit.factor)
+    return jnp.linalg.solve(R, Q.T @ fit.target)
+
+
+def from_inverse_mass(
+    realization: Realization, fit: InputFit, E: Float[Array, "dofs inputs"], solver: AbstractPositiveSolver
+) -> tuple[Array, Array, Array]:
+    """M, D, K in the paper's order: inverse mass from the input matrix, then stiffness and damping.
+
+    M⁻¹ ⪰ εI from B₂ = M⁻¹E;  K = argmin ‖M⁻¹K + A21‖_F over K ⪰ 0;  D likewise with A22. Needs an input on
+    every coordinate.
+
+    **Arguments:** `realization`; `fit` of B₂; `E`: scaled input map; `solver`.
+
+    **Returns:** scaled M, D, K.
+
+    **Reference:** Olofsson et al., equations (22) to (24).
+    """
+    dofs = E.shape[0]
+    basis = duplication(dofs)
+    # vec(X E) row by row is (I ⊗ Eᵀ) vec(X).
+    columns = fit.factor @ jnp.kron(jnp.eye(dofs), E.T) @ basis
+    scale = jnp.linalg.norm(columns) / jnp.sqrt(columns.shape[1])
+    problem = PositiveLeastSquares.from_residual(columns / scale, fit.target, (dofs,), (0.0,))
+    size = jnp.abs(jnp.trace(from_symmetric_vector(problem.unconstrained()))) / dofs
+    problem = eqx.tree_at(lambda p: p.floors, problem, FLOOR * size[None])
+    X = from_symmetric_vector(solver(problem)) / scale
+
+    # Whitened by X/‖X‖: the problems for K and D have the condition of X, not its size.
+    size = jnp.linalg.norm(X)
+    table = jnp.kron(X / size, jnp.eye(dofs)) @ basis
+
+    def restoring(target):
+        norm = jnp.linalg.norm(target)
+        norm = jnp.where(norm > 0, norm, 1.0)
+        found = solver(PositiveLeastSquares.from_residual(table, -target.ravel() / norm, (dofs,), (0.0,)))
+        return from_symmetric_vector(found) * norm / size
+
+    eye = jnp.eye(dofs)
+    return jnp.linalg.solve(X, eye), restoring(realization.A22), restoring(realization.A21)
+
+
+def jointly(
+    realization: Realization,
+    input_equation: tuple[Float[Array, "dofs inputs"], Float[Array, "dofs inputs"]] | None,
+    solver: AbstractPositiveSolver,
+    mass: Float[Array, "dofs dofs"] | None = None,
+) -> tuple[tuple[Array, Array, Array], Float[Array, ""]]:
+    """M, D, K from one semidefinite least squares, also for fewer inputs than coordinates.
+
+    ‖K + M A21‖²/‖A21‖² + ‖D + M A22‖²/‖A22‖² + ‖M B₂ − E‖²/‖B₂‖² over M ≻ 0, D ⪰ 0, K ⪰ 0; without an input
+    equation (base excitation) the scale is set by tr M = dofs.
+
+    **Arguments:** `realization`; `input_equation`: (B₂, E), scaled, or None; `solver`; `mass`: a known mass,
+    scaled, or None.
+
+    **Returns:** scaled (M, D, K), and the smallest eigenvalue of the problem relative to the largest: near zero
+    where the inputs do not reach every coordinate.
+    """
+    A21, A22 = realization.A21, realization.A22
+    dofs = A21.shape[0]
+    rate = jnp.sqrt(jnp.linalg.norm(A21, ord=2))
+    A21, A22 = A21 / rate**2, A22 / rate
+    size21, size22 = jnp.linalg.norm(A21), jnp.linalg.norm(A22)
+    size22 = jnp.where(size22 > 0, size22, 1.0)
+    basis = duplication(dofs)
+    eye = jnp.eye(dofs)
+    none = jnp.zeros((dofs**2, basis.shape[1]))
+
+    def times(A):
+        # vec(M A) row by row is (I ⊗ Aᵀ) vec(M).
+        return jnp.kron(eye, A.T) @ basis
+
+    tables = [
+        jnp.hstack([times(A21), none, basis]) / size21,
+        jnp.hstack([times(A22), basis, none]) / size22,
+    ]
+    targets = [jnp.zeros(2 * dofs**2)]
+    unit = 1.0
+    if input_equation is not None:
+        B2 = input_equation[0] / rate**2
+        unit = jnp.linalg.norm(input_equation[1]) / jnp.linalg.norm(B2)
+        table = times(B2)
+        tables.append(jnp.pad(table, ((0, 0), (0, 2 * basis.shape[1]))) / jnp.linalg.norm(B2))
+        targets.append((input_equation[1] / unit).ravel() / jnp.linalg.norm(B2))
+    elif mass is None:
+        row = jnp.concatenate([symmetric_vector(eye) / dofs, jnp.zeros(2 * basis.shape[1])])
+        tables.append(row[None])
+        targets.append(jnp.ones(1))
+    table, target = jnp.concatenate(tables), jnp.concatenate(targets)
+    singular = jnp.linalg.svd(table, compute_uv=False)
+    entries = basis.shape[1]
+    if mass is None:
+        floors = jnp.array([FLOOR, 0.0, 0.0])
+        found = solver(PositiveLeastSquares.from_residual(table, target, (dofs,) * 3, floors))
+    else:
+        known = symmetric_vector(mass * rate**2)
+        unit = 1.0
+        rest = PositiveLeastSquares.from_residual(
+            table[: 2 * dofs**2, entries:], -table[: 2 * dofs**2, :entries] @ known, (dofs,) * 2, (0.0, 0.0)
+        )
+        found = jnp.concatenate([known, solver(rest)])
+    M, D, K = (from_symmetric_vector(found[k * entries : (k + 1) * entries]) * unit for k in range(3))
+    if input_equation is None and mass is None:
+        share = dofs / jnp.trace(M)
+        M, D, K = M * share, D * share, K * share
+    return (M / rate**2, D / rate, K), (singular[-1] / singular[0]) ** 2

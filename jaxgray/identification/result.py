@@ -1,0 +1,272 @@
+"""The identification as one immutable result, and how it is put together."""
+
+from dataclasses import dataclass, field
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..mechanics.model import MechanicalModel
+from ..numerics.outcomes import RESULTS
+from ..records import Record
+from .conic import join, part
+from .physical import Scaling
+from .prediction import Batch, Nuisance, Setting, free_run, prediction_errors
+from .preparation import Signals, prepare
+from .refine import Refinement
+from .start import Start, model_run
+from .structure import Structure
+from .uncertainty import Uncertainty, uncertainty
+from .validation import (
+    Fit,
+    ResidualTest,
+    StructureTest,
+    fit_of,
+    information_criteria,
+    noise_floor,
+    residual_test,
+    structure_test,
+)
+
+
+@dataclass(frozen=True)
+class Identification:
+    """An identified model and the evidence for it.
+
+    `model` in the record's units; `uncertainty`: covariance and what limits it (None without refinement);
+    `start` and `refinement`: where it came from; `estimation`, `validation`: fits per record; `noise_floor`: standard
+    deviation of the unpredictable part per output; `residual_test`; `structure_test`; `aic`, `bic`; `noise`:
+    noise model in words and figures; `warnings`: in words; `scaling`, `setting`, `structure`: what the computation
+    used.
+    """
+
+    model: MechanicalModel
+    uncertainty: Uncertainty | None
+    start: Start
+    refinement: Refinement | None
+    estimation: tuple[Fit, ...]
+    validation: tuple[Fit, ...]
+    records: tuple[Record, ...]
+    validation_records: tuple[Record, ...]
+    noise_floor: Float[np.ndarray, " outputs"]
+    residual_test: ResidualTest
+    structure_test: StructureTest | None
+    aic: float
+    bic: float
+    noise: dict
+    warnings: tuple[str, ...]
+    scaling: Scaling = field(repr=False)
+    setting: Setting = field(repr=False)
+    structure: Structure = field(repr=False)
+
+    @property
+    def mass(self) -> Float[np.ndarray, "dofs dofs"]:
+        """Mass matrix."""
+        return np.asarray(self.model.mass)
+
+    @property
+    def damping(self) -> Float[np.ndarray, "dofs dofs"]:
+        """Damping matrix."""
+        return np.asarray(self.model.damping)
+
+    @property
+    def stiffness(self) -> Float[np.ndarray, "dofs dofs"]:
+        """Stiffness matrix."""
+        return np.asarray(self.model.stiffness)
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "entries entries"] | None:
+        """Covariance of the stacked upper triangles (by columns) of mass, damping, stiffness."""
+        return None if self.uncertainty is None else self.uncertainty.covariance
+
+    @property
+    def standard_errors(self) -> dict[str, Float[np.ndarray, "dofs dofs"]] | None:
+        """Standard error of every entry."""
+        return None if self.uncertainty is None else self.uncertainty.standard_errors()
+
+    @property
+    def fit_percent(self) -> dict[str, dict[str, float]]:
+        """Fit per output on estimation and, where there are such records, validation data."""
+        return self._per_output("fit_percent")
+
+    @property
+    def rmse(self) -> dict[str, dict[str, float]]:
+        """Root mean square residual per output, likewise."""
+        return self._per_output("rmse")
+
+    def _per_output(self, name: str) -> dict[str, dict[str, float]]:
+        result = {}
+        for kind, fits in (("estimation", self.estimation), ("validation", self.validation)):
+            if fits:
+                # Several records: the mean, weighted by their lengths.
+                weights = np.array([len(fit.simulated) for fit in fits], dtype=float)
+                values = np.average([getattr(fit, name) for fit in fits], axis=0, weights=weights)
+                result[kind] = {n: float(v) for n, v in zip(self.model.output_names, values)}
+        return result
+
+    def __repr__(self) -> str:
+        lines = [f"Identification: {self.model.dofs} coordinates, {self.start.method} start"]
+        errors = self.standard_errors
+        for name in ("mass", "damping", "stiffness"):
+            matrix = getattr(self, name)
+            for k, row in enumerate(matrix):
+                values = "  ".join(
+                    f"{v:.5g}" + (f" ± {errors[name][k, c]:.1g}" if errors is not None else "")
+                    for c, v in enumerate(row)
+                )
+                lines.append(f"  {name if k == 0 else '':10s}{values}")
+        for kind, fits in self.fit_percent.items():
+            lines.append(f"  fit on {kind}: " + ", ".join(f"{n} {v:.2f} %" for n, v in fits.items()))
+        lines += [f"  warning: {text}" for text in self.warnings]
+        return "\n".join(lines)
+
+
+@eqx.filter_jit
+def _jacobian(
+    refinement_blocks, nuisance: Nuisance, whitening, batch: Batch, setting: Setting, structure: Structure
+):
+    """Whitened errors, and derivatives of the simulated outputs by blocks, first states and offsets."""
+    sizes = tuple(block.shape[0] for block in refinement_blocks)
+    dofs = len(setting.measured)
+    quiet = Nuisance(nuisance.x0, nuisance.offset, None)
+
+    def run(pair):
+        z, here = pair
+        return free_run(setting.system(*structure.matrices(part(z, sizes), dofs)), batch, here)
+
+    start = (join(refinement_blocks), quiet)
+    flat, unravel = jax.flatten_util.ravel_pytree(start)
+    J = jax.jacfwd(lambda theta: run(unravel(theta)))(flat)
+    return run(start), J
+
+
+def assess(
+    model: MechanicalModel,
+    records: list[Record],
+    held_out: list[Record],
+    setting: Setting,
+    scaling: Scaling,
+    signals: list[Signals],
+    batch: Batch,
+    structure: Structure,
+    held,
+    start: Start,
+    refinement: Refinement | None,
+    notes: tuple[str, ...],
+) -> Identification:
+    """Fits, tests, covariance and warnings of a model found; see `Identification`."""
+    matrices = tuple(jnp.asarray(X) for X in scaling.matrices_in(model.mass, model.damping, model.stiffness))
+    estimation = tuple(_fit(matrices, setting, scaling, r, s) for r, s in zip(records, signals))
+    validation = tuple(_fit(matrices, setting, scaling, r, prepare(r, scaling)) for r in held_out)
+    floor = noise_floor(estimation[0].residual)
+    tests = residual_test(estimation[0].residual, records[0].u)
+    spread = found = None
+    warnings = list(notes)
+    noise = {"form": "output-error"}
+    parameters = 3 * model.dofs * (model.dofs + 1) // 2
+    if refinement is not None:
+        _, J = _jacobian(
+            refinement.blocks, refinement.nuisance, refinement.whitening, batch, setting, structure
+        )
+        J = np.asarray(J)
+        meat = None
+        if refinement.nuisance.noise is None and not tests.white:
+            meat = _score_covariance(J, estimation, scaling, refinement, batch)
+        spread = uncertainty(refinement, scaling, structure, fixed=held, meat=meat)
+        poles = np.clip(np.exp(-1.0 / (np.array([0.5, 2.0]) * start.time_constant / scaling.sampling_time)), 0.05, 0.995)
+        found = structure_test(estimation[0].residual, J[0, : records[0].samples], records[0].u, poles)
+        parameters = refinement.normal.information.shape[0]
+        if refinement.nuisance.noise is not None:
+            values = np.asarray(refinement.nuisance.noise)
+            noise = {"form": "innovations", "force_to_output_noise": np.abs(values[: batch.u.shape[2]]).tolist()}
+        warnings += _warnings(refinement, spread, found, tests, model)
+    warnings += _fit_warnings(estimation, model)
+    residuals = np.concatenate([fit.residual for fit in estimation])
+    complete = residuals[np.all(np.isfinite(residuals), axis=1)]
+    sign, logdet = np.linalg.slogdet(complete.T @ complete / max(len(complete), 1))
+    aic, bic = information_criteria(len(complete) * logdet, complete.size, parameters)
+    return Identification(
+        model,
+        spread,
+        start,
+        refinement,
+        estimation,
+        validation,
+        tuple(records),
+        tuple(held_out),
+        floor,
+        tests,
+        found,
+        aic,
+        bic,
+        noise,
+        tuple(dict.fromkeys(warnings)),
+        scaling,
+        setting,
+        structure,
+    )
+
+
+def _fit(matrices, setting: Setting, scaling: Scaling, record: Record, signals: Signals) -> Fit:
+    run = np.asarray(model_run(matrices, setting, signals)[0])[: record.samples]
+    level = np.nanmean(record.y, axis=0)
+    return fit_of(record.y, run * np.asarray(scaling.outputs) + level)
+
+
+def _score_covariance(J, estimation, scaling, refinement: Refinement, batch: Batch) -> np.ndarray:
+    """Covariance of the summed scores Jᵀ W e with correlation over lags (Newey & West, 1987)."""
+    W = np.asarray(refinement.whitening)
+    total = 0.0
+    for k, fit in enumerate(estimation):
+        n = len(fit.residual)
+        e = np.nan_to_num(fit.residual / np.asarray(scaling.outputs)) @ W.T
+        scores = np.einsum("no,nop->np", e, np.einsum("ab,nbp->nap", W, J[k, :n]))
+        lags = int(np.ceil(2 * n ** (1 / 3)))
+        total = total + scores.T @ scores
+        for lag in range(1, lags + 1):
+            across = scores[lag:].T @ scores[:-lag]
+            total = total + (1 - lag / (lags + 1)) * (across + across.T)
+    return total
+
+
+def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: ResidualTest, model) -> list[str]:
+    result = []
+    if refinement.result != RESULTS.successful:
+        result.append(
+            f"The refinement stopped after {refinement.steps[0]} + {refinement.steps[1]} steps before it had "
+            "settled; try another time constant, or fix entries that you know."
+        )
+    result += [f"Parameter {name} does not move any output; fix it or excite it." for name in spread.unmoved]
+    result += [f"Hardly determined by this record: {text}." for text in spread.weak_directions]
+    result += [f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge]
+    errors = spread.standard_errors()["mass"]
+    for k, name in enumerate(model.output_names):
+        if errors[k, k] > 0.5 * abs(float(model.mass[k, k])):
+            result.append(
+                f"No inertia visible at {name}: mass {float(model.mass[k, k]):.3g} ± {errors[k, k]:.2g}. Excite nearer "
+                "to the natural frequencies."
+            )
+    if not found.fits:
+        result.append(
+            f"M, D, K of {model.dofs} coordinates do not fit: another linear model explains "
+            f"{found.explained_percent:.1f} % more of the residual (p = {found.p_value:.1e}). More coordinates, a delay, "
+            "or another input map may be needed."
+        )
+    if not tests.white and refinement.nuisance.noise is None:
+        result.append(
+            "The residual is not white: error bars allow for its colour; if noise enters at the forces, "
+            "noise='innovations' is more exact."
+        )
+    if tests.feedback:
+        result.append("The residual is correlated with future inputs: the record may come from a closed loop.")
+    return result
+
+
+def _fit_warnings(estimation, model) -> list[str]:
+    return [
+        f"Poor fit at {name}: {fit:.1f} % on the estimation record."
+        for name, fit in zip(model.output_names, estimation[0].fit_percent)
+        if not fit > 50
+    ]

@@ -1,0 +1,271 @@
+"""Starting models: subspace and regression, judged alike by free-run simulation."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..mechanics.drives import Force
+from ..numerics.linear_algebra import project_positive
+from ..numerics.lifting import free_response, respond
+from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.positive import ClarabelSolver
+from ..records import Record
+from .filter_bank import pole
+from .input_matrix import InputFit, fit_to_record
+from .physical import Scaling, from_inverse_mass, input_matrix, jointly
+from .prediction import Setting
+from .preparation import Signals, prepare
+from .projection import AbstractWeight
+from .realization import AbstractMap, Realization
+from .regression import regress, regression_time_constants
+from .sweep import candidates, drives_every_coordinate, record_factors, score
+
+BASIS_LIMIT = 1e10
+REACH_LIMIT = 1e-11
+
+
+@dataclass(frozen=True)
+class Start:
+    """A starting model in scaled coordinates.
+
+    `matrices`: M, D, K; `deviation`: mean square free-run residual per output; `method`: "subspace" or
+    "regression"; `time_constant` [s]; `block_rows`; `singular_values` of the projection; `table`: score of every
+    (τ, i) tried.
+    """
+
+    matrices: tuple[Array, Array, Array]
+    deviation: Float[np.ndarray, " outputs"]
+    method: str
+    time_constant: float
+    block_rows: int | None
+    singular_values: Float[np.ndarray, " values"] | None
+    table: Float[np.ndarray, "time_constants choices"] | None
+
+    @property
+    def score(self) -> float:
+        """Likelihood of the free run, −∞ where it is unstable."""
+        return float(score(jnp.asarray(self.deviation)))
+
+
+@eqx.filter_jit
+def model_run(
+    matrices: tuple[Array, Array, Array], setting: Setting, signals: Signals
+) -> tuple[Float[Array, "samples outputs"], Float[Array, " outputs"]]:
+    """Free run with the best initial state and offsets, and its mean square residual per output."""
+    system = setting.system(*matrices)
+    samples, outputs = signals.y.shape
+    free = free_response(system.A, system.C, samples)
+    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
+    offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
+    forced = respond(system.A, system.B, system.C, system.D, signals.u)
+    table = jnp.concatenate([free, offsets], axis=2)
+    kept = signals.kept[:, :, None]
+    rows = (table * kept).reshape(samples * outputs, -1)
+    gram = rows.T @ rows
+    target = rows.T @ ((signals.y - forced) * signals.kept).reshape(-1)
+    solution = jnp.linalg.solve(gram + 1e-11 * jnp.trace(gram) * jnp.eye(gram.shape[0]), target)
+    simulated = forced + table @ solution
+    deviation = jnp.sum(((signals.y - simulated) * signals.kept) ** 2, axis=0)
+    return simulated, deviation / jnp.maximum(jnp.sum(signals.kept, axis=0), 1.0)
+
+
+def total_deviation(matrices, setting: Setting, signals: list[Signals]) -> np.ndarray:
+    """Mean square free-run residual per output over all records."""
+    parts = [np.asarray(model_run(matrices, setting, s)[1]) for s in signals]
+    weights = [np.asarray(jnp.sum(s.kept, axis=0)) for s in signals]
+    return np.sum([p * w for p, w in zip(parts, weights)], axis=0) / np.sum(weights, axis=0)
+
+
+def physical_model(
+    realization: Realization, fit: InputFit, setting: Setting, known_mass: Array | None
+) -> tuple[Array, Array, Array]:
+    """M, D, K (scaled) of a realisation, by the problem that the drive allows.
+
+    **Raises:** `ComputationError` where an input does not reach every coordinate.
+    """
+    solver = ClarabelSolver()
+    if isinstance(setting.drive, Force) and known_mass is None:
+        E = setting.drive.input_map
+        if drives_every_coordinate(setting.drive):
+            return from_inverse_mass(realization, fit, E, solver)
+        B2 = input_matrix(fit).reshape(E.shape)
+        matrices, reach = jointly(realization, (B2, E), solver)
+        if not float(reach) > REACH_LIMIT:
+            raise ComputationError(
+                RESULTS.unreachable, stage="physical parameters", detail=f"relative reach {float(reach):.1e}"
+            )
+        return matrices
+    return jointly(realization, None, solver, known_mass)[0]
+
+
+@eqx.filter_jit
+def _record_fit(realization, signals, weights, setting):
+    return fit_to_record(
+        realization,
+        signals.u,
+        signals.y,
+        signals.kept * weights,
+        measured=setting.measured,
+        hold=setting.hold,
+    )
+
+
+def subspace_start(
+    signals: list[Signals],
+    setting: Setting,
+    time_constants: Float[np.ndarray, " time_constants"],
+    block_rows: tuple[int, ...],
+    sampling_time: float,
+    *,
+    weight: AbstractWeight,
+    map: AbstractMap,
+    input_matrix_from: str = "record",
+    known_mass: Array | None = None,
+) -> Start:
+    """The best subspace model over a grid of time constants and block rows.
+
+    **Arguments:** `signals`: scaled records; `setting`; `time_constants` [s]; `block_rows`; `sampling_time`
+    [s]; `weight`; `map`; `input_matrix_from`: "record" (regression on simulated responses) or "factor" (the
+    paper's step 6); `known_mass`: scaled, or None.
+
+    **Returns:** a `Start`.
+
+    **Raises:** `ComputationError` when no choice gives a usable model.
+    """
+    padded = max(block_rows)
+    poles = pole(jnp.asarray(time_constants), sampling_time)
+    factor_grid, householder = record_factors(signals, poles, padded)
+    longest = max(signals, key=lambda s: s.samples)
+    found = candidates(
+        factor_grid,
+        poles,
+        jnp.asarray(block_rows, float),
+        longest,
+        inputs=longest.u.shape[1],
+        padded=padded,
+        weight=weight,
+        map=map,
+        measured=setting.measured,
+        hold=setting.hold,
+        householder=householder,
+    )
+    table = np.asarray(score(found.deviation))
+    if not np.any(np.isfinite(table)):
+        raise _why_none(found)
+    order = np.argsort(-table, axis=None)[: int(np.isfinite(table).sum())]
+    failure = None
+    for flat in order[:5]:
+        index = np.unravel_index(flat, table.shape)
+        chosen = jax.tree_util.tree_map(lambda leaf, index=index: leaf[index], found)
+        fit = chosen.fit
+        if input_matrix_from == "record":
+            spread = jnp.sqrt(jnp.maximum(chosen.deviation, 1e-24))
+            weights = jnp.exp(jnp.mean(jnp.log(spread))) / spread
+            parts = [_record_fit(chosen.realization, s, weights, setting) for s in signals]
+            fit = InputFit(
+                jnp.concatenate([p.factor for p in parts]), jnp.concatenate([p.target for p in parts])
+            )
+        try:
+            matrices = physical_model(chosen.realization, fit, setting, known_mass)
+        except ComputationError as error:
+            failure = error
+            continue
+        deviation = total_deviation(matrices, setting, signals)
+        if np.all(np.isfinite(deviation)):
+            return Start(
+                matrices,
+                deviation,
+                "subspace",
+                float(time_constants[index[0]]),
+                int(block_rows[index[1]]),
+                np.asarray(chosen.realization.singular_values),
+                table,
+            )
+    raise failure or ComputationError(RESULTS.unstable_start, stage="subspace start")
+
+
+def _why_none(found) -> ComputationError:
+    """Which failure made every choice of the grid unusable."""
+    condition = np.asarray(found.realization.basis_condition)
+    values = np.asarray(found.realization.singular_values)
+    states = found.realization.A_lambda.shape[-1]
+    last = values[..., states - 1] / values[..., 0]
+    if not np.any(last > 1e-12):
+        return ComputationError(RESULTS.order_not_found, stage="subspace start")
+    if not np.any(condition < BASIS_LIMIT):
+        return ComputationError(RESULTS.singular_state_basis, stage="subspace start")
+    if not np.any(np.isfinite(np.asarray(found.realization.A21))):
+        return ComputationError(RESULTS.negative_real_pole, stage="subspace start")
+    return ComputationError(RESULTS.unstable_start, stage="subspace start")
+
+
+def regression_start(
+    signals: list[Signals],
+    setting: Setting,
+    time_constants: Float[np.ndarray, " time_constants"],
+    sampling_time: float,
+    first: Start | None = None,
+) -> Start:
+    """The best regression model over time constants, with simulated outputs as instruments where they serve.
+
+    **Arguments:** as for `subspace_start`; `first`: a model whose free run serves as instruments.
+
+    **Returns:** a `Start`.
+
+    **Raises:** `ComputationError` when no time constant gives a finite model.
+    """
+    E = setting.drive.input_map
+    best = None
+    for tau in regression_time_constants(time_constants, sampling_time):
+        matrices = first.matrices if first is not None else None
+        for _ in range(3):
+            instruments = None
+            if matrices is not None:
+                runs = [model_run(matrices, setting, s) for s in signals]
+                if all(bool(jnp.all(jnp.isfinite(run))) and float(jnp.min(dev)) < 0.5 for run, dev in runs):
+                    instruments = [run for run, _ in runs]
+            try:
+                matrices = regress(
+                    signals, instruments, E, float(tau), measured=setting.measured, hold=setting.hold
+                )
+            except ComputationError:
+                break
+            deviation = total_deviation(matrices, setting, signals)
+            here = Start(matrices, deviation, "regression", float(tau * sampling_time), None, None, None)
+            if np.isfinite(here.score) and (best is None or here.score > best.score):
+                best = here
+            if instruments is None and not np.all(deviation < 0.5):
+                break
+    if best is None:
+        raise ComputationError(RESULTS.unstable_start, stage="regression start")
+    return best
+
+
+def filled(records: list[Record], scaling: Scaling, runs: list[np.ndarray] | None) -> list[Signals]:
+    """Signals with missing outputs filled: by interpolation, or by a free run (scaled) where there is one."""
+    result = []
+    for k, record in enumerate(records):
+        y = np.array(record.y)
+        for column in range(y.shape[1]):
+            missing = ~np.isfinite(y[:, column])
+            if not np.any(missing):
+                continue
+            if runs is None:
+                known = np.flatnonzero(~missing)
+                y[missing, column] = np.interp(np.flatnonzero(missing), known, y[known, column])
+            else:
+                size = float(scaling.outputs[column])
+                level = np.nanmean(record.y[:, column])
+                y[missing, column] = np.asarray(runs[k])[: len(y), column][missing] * size + level
+        result.append(prepare(dataclasses.replace(record, y=y), scaling))
+    return result
+
+
+def nearest_physical(matrices: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """The same matrices, symmetric and positive semidefinite."""
+    return tuple(project_positive((X + X.T) / 2) for X in matrices)

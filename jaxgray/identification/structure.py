@@ -1,0 +1,169 @@
+"""What is free in M, D and K: every matrix is assembled from positive semidefinite blocks.
+
+A full matrix is one block, a diagonal mass one 1 × 1 block per coordinate, a chain one block per spring,
+proportional damping two numbers. Positive blocks make positive matrices, so that one refinement serves all.
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..numerics.linear_algebra import project_positive
+
+LIFT = 1e-3
+"""Smallest eigenvalue of a start, relative to its largest: Cholesky factors do not move off the edge."""
+
+
+class AbstractAssembly(eqx.Module):
+    """How one of M, D, K is built from blocks."""
+
+    @abc.abstractmethod
+    def sizes(self, dofs: int) -> tuple[int, ...]:
+        """Rows of each block."""
+
+    @abc.abstractmethod
+    def matrix(self, blocks: list[Array], mass: Array | None, stiffness: Array | None) -> Array:
+        """The matrix that the blocks make; damping may also need the other two."""
+
+    @abc.abstractmethod
+    def blocks(self, matrix: Array, mass: Array | None, stiffness: Array | None) -> list[Array]:
+        """Blocks nearest to a given matrix, not yet lifted off the edge."""
+
+
+class Full(AbstractAssembly):
+    """Any symmetric positive semidefinite matrix."""
+
+    def sizes(self, dofs):
+        return (dofs,)
+
+    def matrix(self, blocks, mass, stiffness):
+        return blocks[0]
+
+    def blocks(self, matrix, mass, stiffness):
+        return [matrix]
+
+
+class Diagonal(AbstractAssembly):
+    """A diagonal matrix with entries ≥ 0."""
+
+    def sizes(self, dofs):
+        return (1,) * dofs
+
+    def matrix(self, blocks, mass, stiffness):
+        return jnp.diag(jnp.concatenate([block[0] for block in blocks]))
+
+    def blocks(self, matrix, mass, stiffness):
+        return [matrix[k, k].reshape(1, 1) for k in range(matrix.shape[0])]
+
+
+class Chain(AbstractAssembly):
+    """Springs from every coordinate to ground and between neighbours, each ≥ 0."""
+
+    def sizes(self, dofs):
+        return (1,) * (2 * dofs - 1)
+
+    def matrix(self, blocks, mass, stiffness):
+        dofs = (len(blocks) + 1) // 2
+        springs = jnp.stack([block[0, 0] for block in blocks])
+        arms = np.concatenate([np.eye(dofs), np.eye(dofs)[:-1] - np.eye(dofs)[1:]])
+        return jnp.einsum("s,si,sj->ij", springs, arms, arms)
+
+    def blocks(self, matrix, mass, stiffness):
+        dofs = matrix.shape[0]
+        between = [-(matrix[k, k + 1] + matrix[k + 1, k]) / 2 for k in range(dofs - 1)]
+        ground = [jnp.sum((matrix[k] + matrix[:, k]) / 2) for k in range(dofs)]
+        return [jnp.reshape(value, (1, 1)) for value in ground + between]
+
+
+class Proportional(AbstractAssembly):
+    """D = αM + βK with α, β ≥ 0 (modal damping)."""
+
+    def sizes(self, dofs):
+        return (1, 1)
+
+    def matrix(self, blocks, mass, stiffness):
+        return blocks[0][0, 0] * mass + blocks[1][0, 0] * stiffness
+
+    def blocks(self, matrix, mass, stiffness):
+        table = jnp.stack([mass.ravel(), stiffness.ravel()], axis=1)
+        scale = jnp.linalg.norm(table, axis=0)
+        found = jnp.linalg.lstsq(table / scale, matrix.ravel())[0] / scale
+        return [jnp.reshape(found[0], (1, 1)), jnp.reshape(found[1], (1, 1))]
+
+
+class Structure(eqx.Module):
+    """Assemblies of M, D and K."""
+
+    mass: AbstractAssembly = Full()
+    damping: AbstractAssembly = Full()
+    stiffness: AbstractAssembly = Full()
+
+    def sizes(self, dofs: int) -> tuple[int, ...]:
+        """Rows of all blocks, of mass first, then damping, then stiffness."""
+        return self.mass.sizes(dofs) + self.damping.sizes(dofs) + self.stiffness.sizes(dofs)
+
+    def owners(self, dofs: int) -> tuple[str, ...]:
+        """The matrix to which each block belongs."""
+        return tuple(
+            name for name in ("mass", "damping", "stiffness") for _ in getattr(self, name).sizes(dofs)
+        )
+
+    def matrices(self, blocks: list[Array], dofs: int) -> tuple[Array, Array, Array]:
+        """M, D, K from the blocks."""
+        first = len(self.mass.sizes(dofs))
+        second = first + len(self.damping.sizes(dofs))
+        M = self.mass.matrix(blocks[:first], None, None)
+        K = self.stiffness.matrix(blocks[second:], None, None)
+        return M, self.damping.matrix(blocks[first:second], M, K), K
+
+    def blocks(self, M: Array, D: Array, K: Array, *, lift: float = LIFT) -> list[Array]:
+        """Blocks nearest to M, D, K, lifted off the edge of the cone.
+
+        **Arguments:** `M`, `D`, `K`; `lift`: smallest eigenvalue, relative to the largest of that block (for
+        1 × 1 blocks, of the matrix it belongs to).
+        """
+        result = []
+        for assembly, matrix in ((self.mass, M), (self.damping, D), (self.stiffness, K)):
+            for block in assembly.blocks(matrix, M, K):
+                size = jnp.linalg.norm(block, ord=2)
+                if block.shape[0] == 1:
+                    size = jnp.maximum(size, lift * _natural_size(assembly, M, D, K, matrix))
+                result.append(lifted(block, lift * size))
+        return result
+
+
+def _natural_size(assembly: AbstractAssembly, M: Array, D: Array, K: Array, matrix: Array) -> Array:
+    if isinstance(assembly, Proportional):
+        return jnp.linalg.norm(D) / jnp.maximum(jnp.linalg.norm(M), jnp.linalg.norm(K))
+    return jnp.linalg.norm(matrix, ord=2)
+
+
+def lifted(X: Float[Array, "n n"], floor: Float[Array, ""]) -> Float[Array, "n n"]:
+    """Nearest matrix with eigenvalues ≥ floor."""
+    eye = jnp.eye(X.shape[0])
+    return project_positive((X + X.T) / 2 - floor * eye) + floor * eye
+
+
+_BY_NAME = {
+    "diagonal-mass": ("mass", Diagonal()),
+    "chain": ("stiffness", Chain()),
+    "modal-damping": ("damping", Proportional()),
+}
+
+
+def structure_of(names: str | tuple[str, ...] | None) -> Structure:
+    """The structure that these names describe, any of diagonal-mass, chain, modal-damping.
+
+    **Raises:** `ValueError` for a name that is none of them.
+    """
+    names = () if names is None else (names,) if isinstance(names, str) else tuple(names)
+    chosen = {}
+    for name in names:
+        if name not in _BY_NAME:
+            raise ValueError(f"structure={name!r} is not known; choose from {', '.join(_BY_NAME)}.")
+        owner, assembly = _BY_NAME[name]
+        chosen[owner] = assembly
+    return Structure(**chosen)

@@ -1,0 +1,173 @@
+"""Time constant τ × block rows i: every choice from one factor per τ, scored by free-run simulation."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..mechanics.drives import AbstractDrive, Force
+from ..numerics.lifting import free_response, respond
+from ..records import Record
+from .compression import RANK_TOLERANCE, combine, factors
+from .input_matrix import InputFit, fit_to_factor, unit_drives
+from .physical import input_matrix
+from .preparation import Signals
+from .projection import AbstractWeight, arrange, project
+from .realization import AbstractMap, Realization, realize
+
+DEFAULT_BLOCK_ROWS = (4, 6, 8, 10)
+DEFAULT_TIME_CONSTANTS = 10
+
+
+class Candidate(eqx.Module):
+    """One start: the realisation, the least squares for B₂, and how far its free run is from the record.
+
+    `deviation`: mean square of the free-run residual per output, scaled outputs; not finite where the
+    simulation is unstable.
+    """
+
+    realization: Realization
+    fit: InputFit
+    deviation: Float[Array, " outputs"]
+
+
+def default_time_constants(record: Record, count: int = DEFAULT_TIME_CONSTANTS) -> Float[np.ndarray, " time_constants"]:
+    """Logarithmic grid of τ [s], from two samples to the slowest motion that the record shows.
+
+    The slowest motion is taken from the outputs' spectra: the frequency below which a tenth of the power
+    lies, but no slower than a twentieth of the record.
+
+    **Arguments:** `record`; `count`: how many.
+
+    **Returns:** τ, ascending.
+    """
+    y = np.nan_to_num(record.y - np.nanmean(record.y, axis=0))
+    power = np.abs(np.fft.rfft(y * np.hanning(len(y))[:, None], axis=0)) ** 2
+    power = np.cumsum(np.mean(power / np.sum(power, axis=0), axis=1))
+    line = max(1, int(np.searchsorted(power, 0.1)))
+    slowest = len(y) * record.sampling_time / (2 * np.pi * line)
+    low = 2 * record.sampling_time
+    high = np.clip(slowest, 20 * record.sampling_time, record.duration / 20)
+    return np.geomspace(low, max(high, 2 * low), count)
+
+
+def record_factors(
+    signals: list[Signals], poles: Float[Array, " time_constants"], block_rows: int
+) -> tuple[Float[Array, "time_constants columns columns"], bool]:
+    """Factors of one or several records for every pole; Householder QR where the rows are dependent.
+
+    **Returns:** the factors, and whether Householder QR was needed.
+    """
+    for householder in (False, True):
+        parts = [
+            factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=householder) for s in signals
+        ]
+        if householder or all(bool(jnp.all(pivot > RANK_TOLERANCE)) for _, pivot in parts):
+            break
+    return jax.vmap(combine)(jnp.stack([factor for factor, _ in parts], axis=1)), householder
+
+
+def deviation(
+    realization: Realization,
+    B2: Float[Array, "dofs inputs"],
+    signals: Signals,
+    measured: tuple[str, ...],
+    hold: str,
+) -> Float[Array, " outputs"]:
+    """Mean square free-run residual per output, with the best initial state and offsets."""
+    Ad, Bd, C, Dd = unit_drives(realization, measured, hold)
+    samples, outputs = signals.y.shape
+    free = free_response(Ad, C, samples)
+    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
+    offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
+    residual = signals.y - respond(Ad, Bd @ B2, C, Dd @ B2, signals.u)
+    nuisance = jnp.concatenate([free, offsets], axis=2) * signals.kept[:, :, None]
+    nuisance = nuisance.reshape(samples * outputs, -1)
+    residual = (residual * signals.kept).reshape(-1)
+    gram = nuisance.T @ nuisance
+    solution = jnp.linalg.solve(gram + 1e-12 * jnp.trace(gram) * jnp.eye(gram.shape[0]), nuisance.T @ residual)
+    rest = (residual - nuisance @ solution).reshape(samples, outputs)
+    return jnp.sum(rest**2, axis=0) / jnp.maximum(jnp.sum(signals.kept, axis=0), 1.0)
+
+
+@functools.partial(jax.jit, static_argnames=("inputs", "padded", "weight", "map", "measured", "hold", "householder"))
+def candidate(
+    factor: Float[Array, "columns columns"],
+    a: Float[Array, ""],
+    block_rows: Float[Array, ""],
+    signals: Signals | None,
+    *,
+    inputs: int,
+    padded: int,
+    weight: AbstractWeight,
+    map: AbstractMap,
+    measured: tuple[str, ...],
+    hold: str,
+    householder: bool,
+) -> Candidate:
+    """Realisation, input matrix and free-run deviation of one (τ, i), from the factor alone.
+
+    **Arguments:** `factor` of the record; `a`: filter pole; `block_rows`: i ≤ `padded`; `signals`: what the
+    free run is held against, or None for none; the rest static.
+
+    **Returns:** a `Candidate`.
+    """
+    data = arrange(factor, a, block_rows, inputs, padded)
+    projections = project(data, weight, 2 * len(measured), householder=householder)
+    realization = realize(projections, a, measured, map)
+    fit = fit_to_factor(realization, data, measured=measured, hold=hold)
+    if signals is None:
+        return Candidate(realization, fit, jnp.full(len(measured), jnp.nan))
+    B2 = input_matrix(fit).reshape(len(measured), inputs)
+    return Candidate(realization, fit, deviation(realization, B2, signals, measured, hold))
+
+
+_STATIC = ("inputs", "padded", "weight", "map", "measured", "hold", "householder")
+
+
+@functools.partial(jax.jit, static_argnames=_STATIC)
+def _over_block_rows(factor, a, block_rows, signals, **static):
+    return jax.vmap(lambda i: candidate(factor, a, i, signals, **static))(block_rows)
+
+
+def candidates(
+    factor_grid: Float[Array, "time_constants columns columns"],
+    poles: Float[Array, " time_constants"],
+    block_rows: Float[Array, " choices"],
+    signals: Signals | None,
+    **static,
+) -> Candidate:
+    """`candidate` over the grid τ × i; the leading axes of the result are the grid's.
+
+    One compiled function serves every τ. The loop over τ stays on the host: inside a traced loop the CPU
+    backend gains nothing from it and can run out of threads (see `numerics.runtime`).
+    """
+    found = [
+        _over_block_rows(factor, a, block_rows, signals, **static) for factor, a in zip(factor_grid, poles)
+    ]
+    return jax.tree_util.tree_map(lambda *parts: jnp.stack(parts), *found)
+
+
+def score(deviation: Float[Array, "*grid outputs"]) -> Float[Array, "*grid"]:
+    """−½ Σ ln deviation over outputs: the likelihood of the free run; −∞ where it is unstable."""
+    value = -0.5 * jnp.sum(jnp.log(jnp.maximum(deviation, 1e-300)), axis=-1)
+    return jnp.where(jnp.all(jnp.isfinite(deviation), axis=-1), value, -jnp.inf)
+
+
+def usable_block_rows(record: Record, choices=DEFAULT_BLOCK_ROWS) -> tuple[int, ...]:
+    """The choices that the number of outputs needs and the record's length allows."""
+    outputs, inputs = record.outputs, record.inputs
+    least = 3
+    most = max(least, (record.samples // 3) // (2 * (inputs + outputs) + 2))
+    return tuple(sorted({int(np.clip(i, least, most)) for i in choices}))
+
+
+def drives_every_coordinate(drive: AbstractDrive) -> bool:
+    """Whether forces act on every coordinate, so that B₂ determines the mass by itself."""
+    if not isinstance(drive, Force):
+        return False
+    E = np.asarray(drive.input_map)
+    return bool(np.linalg.matrix_rank(E) == E.shape[0])

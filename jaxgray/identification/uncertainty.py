@@ -1,0 +1,155 @@
+"""How well the record determines the model: covariance, weak directions, entries at the edge."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..numerics.linear_algebra import from_triangle, triangle, triangle_vector
+from .conic import pseudo_inverse, join, part
+from .physical import Scaling
+from .refine import Refinement
+from .structure import Structure
+
+EDGE = 1e-6
+"""Eigenvalue, relative to the largest of its matrix, below which a matrix counts as singular."""
+
+WEAK = 1e-8
+"""Relative eigenvalue of the scaled information below which a direction counts as not determined."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance of M, D, K in the record's units, and what limits it.
+
+    `covariance`: of the stacked upper triangles (by columns) of mass, damping, stiffness; `names`: of these
+    entries; `condition_number` of the information scaled to unit diagonal; `weak_directions`: combinations of
+    parameters that the record hardly determines, in words; `unmoved`: parameters that do not move any output;
+    `at_edge`: matrices that are singular, with the direction, in words; `sandwich`: whether the residual's colour
+    is taken into account.
+    """
+
+    covariance: Float[np.ndarray, "entries entries"]
+    names: tuple[str, ...]
+    condition_number: float
+    weak_directions: tuple[str, ...]
+    unmoved: tuple[str, ...]
+    at_edge: tuple[str, ...]
+    sandwich: bool = False
+
+    def standard_errors(self) -> dict[str, Float[np.ndarray, "dofs dofs"]]:
+        """Standard error of every entry of mass, damping, stiffness."""
+        parts = np.split(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), 3)
+        return {
+            name: np.asarray(from_triangle(jnp.asarray(values)))
+            for name, values in zip(("mass", "damping", "stiffness"), parts)
+        }
+
+
+def entry_names(dofs: int) -> tuple[str, ...]:
+    """mass[0,0], … in the order of the covariance."""
+    rows, columns = triangle(dofs)
+    return tuple(
+        f"{matrix}[{r},{c}]" for matrix in ("mass", "damping", "stiffness") for r, c in zip(rows, columns)
+    )
+
+
+@eqx.filter_jit
+def _entries_by_blocks(blocks: list[Array], scaling: Scaling, structure: Structure) -> Array:
+    """Derivative of the stacked triangles, in the record's units, by the joined block vectors."""
+    sizes = tuple(block.shape[0] for block in blocks)
+    dofs = scaling.coordinates.shape[0]
+
+    def entries(z):
+        matrices = scaling.matrices_out(*structure.matrices(part(z, sizes), dofs))
+        return jnp.concatenate([triangle_vector(X) for X in matrices])
+
+    return jax.jacfwd(entries)(join(blocks))
+
+
+def uncertainty(
+    refinement: Refinement, scaling: Scaling, structure: Structure, *, fixed=None, meat: Array | None = None
+) -> Uncertainty:
+    """Covariance of M, D, K from the Gauss-Newton information, nuisance parameters estimated too.
+
+    **Arguments:** `refinement`; `scaling`; `structure`; `fixed`: block entries that were held; `meat`: sum of
+    the outer products of the score, allowing for coloured residuals, for the sandwich J⁻¹ S J⁻¹; default none.
+
+    **Returns:** an `Uncertainty`.
+
+    **Reference:** Ljung, *System Identification*, §9.4 (asymptotic covariance); Huber (1967) for the sandwich.
+    """
+    H = np.asarray(refinement.normal.information)
+    transform = np.asarray(_entries_by_blocks(refinement.blocks, scaling, structure))
+    entries = transform.shape[1]
+    free = np.ones(len(H), bool)
+    if fixed is not None:
+        free[:entries] &= ~np.asarray(fixed, bool)
+    H = H[np.ix_(free, free)]
+    diagonal = np.diag(H)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    inverse = pseudo_inverse(H)
+    covariance = inverse * float(refinement.variance)
+    if meat is not None:
+        covariance = inverse @ np.asarray(meat)[np.ix_(free, free)] @ inverse
+    full = np.zeros((len(free), len(free)))
+    full[np.ix_(free, free)] = covariance
+    dofs = scaling.coordinates.shape[0]
+    names = entry_names(dofs)
+    result = transform @ full[:entries, :entries] @ transform.T
+
+    # The physical part, nuisance eliminated, in units of each parameter's own information.
+    count = int(free[:entries].sum())
+    inner = pseudo_inverse(H[count:, count:])
+    reduced = H[:count, :count] - H[:count, count:] @ inner @ H[count:, :count]
+    scaled = reduced / scale[:count, None] / scale[None, :count]
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    block_names = _block_entry_names(structure, dofs)
+    kept_names = [name for name, keep in zip(block_names, free[:entries]) if keep]
+    weak = tuple(
+        _combination(vectors[:, k], kept_names) for k in range(count) if values[k] < WEAK * max(values[-1], 1e-300)
+    )
+    sizes = np.asarray(join(refinement.blocks))[free[:entries]]
+    effect = diagonal[:count] * sizes**2
+    unmoved = tuple(
+        name for name, moved in zip(kept_names, effect) if not moved > 1e-16 * max(np.max(effect), 1e-300)
+    )
+    return Uncertainty(
+        (result + result.T) / 2,
+        names,
+        float(values[-1] / max(values[0], 1e-300)) if count else 1.0,
+        weak,
+        unmoved,
+        _edges(refinement, scaling),
+        meat is not None,
+    )
+
+
+def _block_entry_names(structure: Structure, dofs: int) -> list[str]:
+    names = []
+    for k, (owner, n) in enumerate(zip(structure.owners(dofs), structure.sizes(dofs))):
+        rows, columns = triangle(n)
+        names += [f"{owner}[{r},{c}]" if n == dofs else f"{owner} term {k}" for r, c in zip(rows, columns)]
+    return names
+
+
+def _combination(vector: np.ndarray, names: list[str]) -> str:
+    order = np.argsort(-np.abs(vector))
+    shown = [k for k in order[:4] if abs(vector[k]) > 0.2 * abs(vector[order[0]])]
+    return " ".join(f"{'+' if vector[k] > 0 else '-'}{abs(vector[k]):.2f} {names[k]}" for k in shown)
+
+
+def _edges(refinement: Refinement, scaling: Scaling) -> tuple[str, ...]:
+    found = []
+    for name in ("mass", "damping", "stiffness"):
+        matrix = np.asarray(getattr(refinement, name))
+        values, vectors = np.linalg.eigh(matrix)
+        for value, vector in zip(values, vectors.T):
+            if value <= EDGE * max(values[-1], 1e-300):
+                direction = vector * np.asarray(scaling.coordinates)
+                direction = direction / direction[np.argmax(np.abs(direction))]
+                found.append(f"{name} is singular in the direction [{', '.join(f'{v:.3g}' for v in direction)}]")
+    return tuple(found)

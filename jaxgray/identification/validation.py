@@ -1,0 +1,210 @@
+"""How good the model is, on data it has seen and on data it has not, and whether its form is right."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+import scipy.stats
+from jaxtyping import Float
+
+LAGS = 25
+AR_ORDER = 10
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Free run of a model against one record, initial state (and offset) estimated on it.
+
+    `simulated`: outputs of the free run; `residual` = measured − simulated, NaN where missing; `fit_percent` =
+    100(1 − ‖y−ŷ‖/‖y−ȳ‖) and `rmse` per output, in the record's units.
+    """
+
+    simulated: Float[np.ndarray, "samples outputs"]
+    residual: Float[np.ndarray, "samples outputs"]
+    fit_percent: Float[np.ndarray, " outputs"]
+    rmse: Float[np.ndarray, " outputs"]
+
+
+def fit_of(measured: Float[np.ndarray, "samples outputs"], simulated: Float[np.ndarray, "samples outputs"]) -> Fit:
+    """`Fit` of simulated to measured outputs; missing samples do not count."""
+    residual = measured - simulated
+    centred = measured - np.nanmean(measured, axis=0)
+    rmse = np.sqrt(np.nanmean(residual**2, axis=0))
+    size = np.sqrt(np.nanmean(np.where(np.isnan(residual), np.nan, centred) ** 2, axis=0))
+    return Fit(simulated, residual, 100 * (1 - rmse / np.where(size > 0, size, np.nan)), rmse)
+
+
+@dataclass(frozen=True)
+class ResidualTest:
+    """Residual autocorrelation and cross-correlation with the inputs, with 99 % bands.
+
+    `autocorrelation`: lags 1 … per output; `cross_correlation`: lags −L … L per output and input (positive lags:
+    the residual after the input); `band` and `cross_band`: half-widths of the 99 % bands; `white`: whether the
+    portmanteau test accepts whiteness at 1 %; `input_explained`: whether past inputs still explain some of the
+    residual at 1 %; `feedback`: whether future inputs do (a sign of closed loop).
+    """
+
+    autocorrelation: Float[np.ndarray, "lags outputs"]
+    cross_correlation: Float[np.ndarray, "lags outputs inputs"]
+    band: float
+    cross_band: Float[np.ndarray, "outputs inputs"]
+    white: bool
+    input_explained: bool
+    feedback: bool
+
+
+def _correlation(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
+    """Correlation of a(k + lag) with b(k) for lag −lags … lags, both without mean."""
+    n = len(a)
+    full = scipy.signal.correlate(a, b, method="fft")
+    return full[n - 1 - lags : n + lags] / n
+
+
+def residual_test(
+    residual: Float[np.ndarray, "samples outputs"], u: Float[np.ndarray, "samples inputs"], *, lags: int = LAGS
+) -> ResidualTest:
+    """Whiteness and independence of the residual from the inputs.
+
+    The band of the cross-correlation allows for the colour of both (Bartlett's formula); inputs are whitened
+    by an AR model first, so that a slow input does not spread one correlation over many lags.
+
+    **Arguments:** `residual`: missing samples NaN (taken as zero); `u`; `lags`.
+
+    **Returns:** a `ResidualTest`.
+
+    **Reference:** Ljung, *System Identification*, §16.6.
+    """
+    e = np.nan_to_num(residual - np.nanmean(residual, axis=0))
+    n, outputs = e.shape
+    size = np.sqrt(np.mean(e**2, axis=0))
+    e = e / np.where(size > 0, size, 1.0)
+    lags = min(lags, n // 4)
+    auto = np.stack([_correlation(e[:, k], e[:, k], lags) for k in range(outputs)], axis=1)
+    quantile = scipy.stats.norm.ppf(0.995)
+    portmanteau = n * np.sum(auto[lags + 1 :] ** 2, axis=0)
+    white = bool(np.all(portmanteau < scipy.stats.chi2.ppf(1 - 0.01 / outputs, lags)))
+    cross = np.zeros((2 * lags + 1, outputs, u.shape[1]))
+    bands = np.zeros((outputs, u.shape[1]))
+    late = early = False
+    for j in range(u.shape[1]):
+        centred = u[:, j] - np.mean(u[:, j])
+        w = whiten_by_ar(centred)
+        w = w / max(np.sqrt(np.mean(w**2)), 1e-300)
+        own = _correlation(w, w, lags)
+        for k in range(outputs):
+            c = _correlation(e[:, k], w, lags)
+            spread = np.sqrt(max(np.sum(own * auto[:, k]), 0.1) / n)
+            cross[:, k, j] = c
+            bands[k, j] = quantile * spread
+            level = scipy.stats.chi2.ppf(1 - 0.01 / (outputs * u.shape[1]), lags)
+            late |= bool(np.sum((c[lags + 1 :] / spread) ** 2) > level)
+            early |= bool(np.sum((c[:lags] / spread) ** 2) > level)
+    return ResidualTest(auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, early)
+
+
+def whiten_by_ar(x: Float[np.ndarray, " samples"], order: int = AR_ORDER) -> Float[np.ndarray, " samples"]:
+    """Prediction errors of an AR model fitted by Yule-Walker."""
+    n = len(x)
+    order = min(order, n // 4)
+    r = np.array([np.dot(x[lag:], x[: n - lag]) / n for lag in range(order + 1)])
+    if not r[0] > 0 or order == 0:
+        return x
+    coefficients = scipy.linalg.solve_toeplitz(np.concatenate([[r[0] * (1 + 1e-9)], r[1:-1]]), r[1:])
+    return scipy.signal.lfilter(np.concatenate([[1.0], -coefficients]), [1.0], x)
+
+
+def noise_floor(residual: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, " outputs"]:
+    """Standard deviation of the residual's unpredictable part, per output (AR whitening)."""
+    e = np.nan_to_num(residual - np.nanmean(residual, axis=0))
+    return np.array([np.std(whiten_by_ar(e[:, k])[AR_ORDER:]) for k in range(e.shape[1])])
+
+
+@dataclass(frozen=True)
+class StructureTest:
+    """Whether a linear model with more freedom than M, D, K explains more of the record.
+
+    `statistic` and `p_value`: F-test that filtered inputs explain the residual beyond what M, D, K could take up;
+    `explained_percent`: share of the residual's power that they explain; `fits`: whether M, D, K is accepted.
+    """
+
+    statistic: float
+    p_value: float
+    explained_percent: float
+    fits: bool
+
+
+def structure_test(
+    residual: Float[np.ndarray, "samples outputs"],
+    jacobian: Float[np.ndarray, "samples outputs parameters"],
+    u: Float[np.ndarray, "samples inputs"],
+    poles: Float[np.ndarray, " poles"],
+    *,
+    orders: int = 12,
+    significance: float = 1e-3,
+) -> StructureTest:
+    """Score test of M, D, K against any other stable linear system driven by the inputs.
+
+    Whatever the record contains that is linear in the inputs and not in the model lies, to first order, in the
+    span of Laguerre-filtered inputs, off the Jacobian of the model. Residual, Jacobian and features are whitened
+    alike by an AR model of the residual; the F-statistic of the features then has its textbook distribution when
+    M, D, K is true, whatever the colour of the noise.
+
+    **Arguments:** `residual`; `jacobian` of the simulated outputs by all estimated parameters; `u`; `poles`:
+    discrete poles of the Laguerre families, one family each; `orders`: filters per family; `significance`.
+
+    **Returns:** a `StructureTest`.
+
+    **Reference:** Ljung, *System Identification*, §16.5; Rao's score test.
+    """
+    explained = total = 0.0
+    free = used = 0
+    for k in range(residual.shape[1]):
+        e = np.nan_to_num(residual[:, k])
+        features = []
+        for a in poles:
+            for j in range(u.shape[1]):
+                signal = u[:, j] - np.mean(u[:, j])
+                x = scipy.signal.lfilter([0.0, np.sqrt(1 - a * a)], [1.0, -a], signal)
+                for _ in range(orders):
+                    features.append(x)
+                    x = scipy.signal.lfilter([-a, 1.0], [1.0, -a], x)
+        table = np.concatenate([jacobian[:, k], np.ones((len(e), 1)), np.stack(features, axis=1)], axis=1)
+        coefficients = _ar_coefficients(e)
+        white = scipy.signal.lfilter(coefficients, [1.0], np.concatenate([table, e[:, None]], axis=1), axis=0)
+        white = white[AR_ORDER:] * np.isfinite(residual[AR_ORDER:, k])[:, None]
+        first = jacobian.shape[2] + 1
+        Q, _ = np.linalg.qr(white[:, :first] / np.maximum(np.linalg.norm(white[:, :first], axis=0), 1e-300))
+        rest = white[:, first:] - Q @ (Q.T @ white[:, first:])
+        norm = np.linalg.norm(rest[:, :-1], axis=0)
+        kept = norm > 1e-8 * np.maximum(np.linalg.norm(white[:, first:-1], axis=0), 1e-300)
+        U, s, _ = np.linalg.svd(rest[:, :-1][:, kept] / norm[kept], full_matrices=False)
+        U = U[:, s > 1e-6 * s[0]] if len(s) else U
+        target = rest[:, -1]
+        taken = np.sum((U.T @ target) ** 2)
+        variance = (target @ target - taken) / max(len(target) - first - U.shape[1], 1)
+        explained += taken / max(variance, 1e-300)
+        total += target @ target / max(variance, 1e-300)
+        free += U.shape[1]
+        used += max(len(target) - first - U.shape[1], 1)
+    statistic = explained / max(free, 1)
+    p_value = float(scipy.stats.f.sf(statistic, max(free, 1), used))
+    share = 100 * max(explained - free, 0.0) / max(total, 1e-300)
+    return StructureTest(float(statistic), p_value, float(share), p_value > significance)
+
+
+def _ar_coefficients(x: np.ndarray) -> np.ndarray:
+    n = len(x)
+    r = np.array([np.dot(x[lag:], x[: n - lag]) / n for lag in range(AR_ORDER + 1)])
+    if not r[0] > 0:
+        return np.eye(AR_ORDER + 1)[0]
+    solution = scipy.linalg.solve_toeplitz(np.concatenate([[r[0] * (1 + 1e-9)], r[1:-1]]), r[1:])
+    return np.concatenate([[1.0], -solution])
+
+
+def information_criteria(cost: float, count: int, parameters: int) -> tuple[float, float]:
+    """AIC and BIC of a Gaussian likelihood with ln-determinant `cost` per sample row times rows.
+
+    **Arguments:** `cost`: rows · ln det Σ; `count`: number of output samples; `parameters` estimated.
+    """
+    return cost + 2 * parameters, cost + parameters * float(np.log(max(count, 1)))

@@ -1,0 +1,185 @@
+"""How the input enters the equation of motion: forces on coordinates, or motion of the base."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .statespace import StateSpace
+
+ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
+"""Time derivatives between a measured quantity and the displacement."""
+
+
+class AbstractDrive(eqx.Module):
+    """The way from the input to the coordinates."""
+
+    @abc.abstractmethod
+    def state_space(
+        self,
+        mass: Float[Array, "dofs dofs"],
+        damping: Float[Array, "dofs dofs"],
+        stiffness: Float[Array, "dofs dofs"],
+        measured: tuple[str, ...],
+        time_unit: float,
+    ) -> StateSpace:
+        """First-order form with the state (q, T q̇), time counted in T = `time_unit` [s]."""
+
+    @abc.abstractmethod
+    def scaled(
+        self, coordinates: Float[Array, " dofs"], inputs: Float[Array, " inputs"], sampling_time: float
+    ) -> "AbstractDrive":
+        """The same drive where coordinate k, input j and time are counted in these units, the equation of
+        motion multiplied by the coordinates' units so that its matrices stay symmetric."""
+
+    @property
+    @abc.abstractmethod
+    def inputs(self) -> int:
+        """Number of inputs."""
+
+    @abc.abstractmethod
+    def check(self, dofs: int, measured: tuple[str, ...]) -> None:
+        """Raise `ValueError` where these coordinates or measured quantities cannot go with this drive."""
+
+
+def _core(mass, damping, stiffness, time_unit):
+    dofs = mass.shape[0]
+    A21 = -jnp.linalg.solve(mass, stiffness) * time_unit**2
+    A22 = -jnp.linalg.solve(mass, damping) * time_unit
+    A = jnp.block([[jnp.zeros((dofs, dofs)), jnp.eye(dofs)], [A21, A22]])
+    return A, A21, A22
+
+
+def _outputs(position, speed, acceleration, measured, time_unit):
+    """Rows of (C, D) picked by measured quantity; each argument is (C, D) in scaled time."""
+    rows = [(position, speed, acceleration)[ORDER[kind]] for kind in measured]
+    scale = [time_unit ** -ORDER[kind] for kind in measured]
+    C = jnp.stack([C[k] * s for k, ((C, _), s) in enumerate(zip(rows, scale))])
+    D = jnp.stack([D[k] * s for k, ((_, D), s) in enumerate(zip(rows, scale))])
+    return C, D
+
+
+class Force(AbstractDrive):
+    """Forces E u on the coordinates: M q̈ + D q̇ + K q = E u.
+
+    **Arguments:** `input_map` (E, dofs × inputs), entry ±1 where an input acts.
+    """
+
+    input_map: Float[Array, "dofs inputs"]
+
+    @property
+    def inputs(self):
+        return self.input_map.shape[1]
+
+    def scaled(self, coordinates, inputs, sampling_time):
+        return Force(coordinates[:, None] * self.input_map * inputs[None, :])
+
+    def check(self, dofs, measured):
+        if self.input_map.shape[0] != dofs:
+            raise ValueError(
+                f"input_map has {self.input_map.shape[0]} rows, but the model has {dofs} coordinates; give one "
+                "row per coordinate."
+            )
+
+    def state_space(self, mass, damping, stiffness, measured, time_unit):
+        A, A21, A22 = _core(mass, damping, stiffness, time_unit)
+        dofs = mass.shape[0]
+        B2 = jnp.linalg.solve(mass, self.input_map) * time_unit**2
+        none = jnp.zeros_like(B2)
+        eye = jnp.eye(dofs)
+        zero = jnp.zeros((dofs, dofs))
+        C, D = _outputs(
+            (jnp.hstack([eye, zero]), none),
+            (jnp.hstack([zero, eye]), none),
+            (jnp.hstack([A21, A22]), B2),
+            measured,
+            time_unit,
+        )
+        return StateSpace(A, jnp.vstack([none, B2]), C, D)
+
+
+class BaseAcceleration(AbstractDrive):
+    """Measured base acceleration a: M z̈ + D ż + K z = −M r a, with z = q − r x the motion relative to the base.
+
+    **Arguments:** `direction` (r, dofs × inputs): displacement of each coordinate for a unit rigid motion of
+    the base; `relative`: whether the outputs are measured relative to the base. Absolute outputs must be
+    accelerations, since the absolute displacement needs the base displacement.
+    """
+
+    direction: Float[Array, "dofs inputs"]
+    relative: bool = eqx.field(static=True, default=False)
+
+    @property
+    def inputs(self):
+        return self.direction.shape[1]
+
+    def scaled(self, coordinates, inputs, sampling_time):
+        return BaseAcceleration(self.direction * inputs[None, :] / coordinates[:, None] * sampling_time**2, self.relative)
+
+    def check(self, dofs, measured):
+        if not self.relative and any(kind != "acceleration" for kind in measured):
+            raise ValueError(
+                f"measured={measured} with a measured base acceleration: absolute displacement or velocity cannot "
+                "be told from it; measure acceleration, measure relative to the base, or give the base displacement."
+            )
+
+    def state_space(self, mass, damping, stiffness, measured, time_unit):
+        A, A21, A22 = _core(mass, damping, stiffness, time_unit)
+        dofs = mass.shape[0]
+        B2 = -self.direction * time_unit**2
+        none = jnp.zeros_like(B2)
+        eye = jnp.eye(dofs)
+        zero = jnp.zeros((dofs, dofs))
+        C, D = _outputs(
+            (jnp.hstack([eye, zero]), none),
+            (jnp.hstack([zero, eye]), none),
+            (jnp.hstack([A21, A22]), B2 if self.relative else none),
+            measured,
+            time_unit,
+        )
+        return StateSpace(A, jnp.vstack([none, B2]), C, D)
+
+
+class BaseDisplacement(AbstractDrive):
+    """Measured base displacement x: M q̈ + D (q̇ − r ẋ) + K (q − r x) = 0.
+
+    The state is (q, q̇ − M⁻¹ D r x), which needs no derivative of the input.
+
+    **Arguments:** `direction` (r, dofs × inputs), as for `BaseAcceleration`; `relative`: whether the outputs
+    are q − r x. Acceleration, and relative velocity, would need a derivative of the input.
+    """
+
+    direction: Float[Array, "dofs inputs"]
+    relative: bool = eqx.field(static=True, default=False)
+
+    @property
+    def inputs(self):
+        return self.direction.shape[1]
+
+    def scaled(self, coordinates, inputs, sampling_time):
+        return BaseDisplacement(self.direction * inputs[None, :] / coordinates[:, None], self.relative)
+
+    def check(self, dofs, measured):
+        if any(kind == "acceleration" or (self.relative and kind == "velocity") for kind in measured):
+            raise ValueError(
+                f"measured={measured} with a measured base displacement would need the input's derivatives; "
+                "measure displacement (or absolute velocity), or give the base acceleration."
+            )
+
+    def state_space(self, mass, damping, stiffness, measured, time_unit):
+        A, A21, A22 = _core(mass, damping, stiffness, time_unit)
+        dofs = mass.shape[0]
+        to_position = -A22 @ self.direction
+        to_speed = A22 @ A22 @ self.direction * -1.0 - A21 @ self.direction
+        none = jnp.zeros_like(to_position)
+        eye = jnp.eye(dofs)
+        zero = jnp.zeros((dofs, dofs))
+        C, D = _outputs(
+            (jnp.hstack([eye, zero]), -self.direction if self.relative else none),
+            (jnp.hstack([zero, eye]), to_position),
+            (jnp.hstack([A21, A22]), none),
+            measured,
+            time_unit,
+        )
+        return StateSpace(A, jnp.vstack([to_position, to_speed]), C, D)

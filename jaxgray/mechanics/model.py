@@ -1,0 +1,123 @@
+"""The mechanical model M q̈ + D q̇ + K q = u."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .drives import ORDER, AbstractDrive, Force
+from .statespace import StateSpace
+
+
+def _matrix(value, name: str) -> Array:
+    X = value if hasattr(value, "aval") else jnp.asarray(np.atleast_2d(np.asarray(value, dtype=float)))
+    if X.ndim != 2 or X.shape[0] != X.shape[1]:
+        raise ValueError(f"{name} has shape {tuple(X.shape)}; give a square matrix, one row per coordinate.")
+    return X
+
+
+class MechanicalModel(eqx.Module):
+    """A linear mechanical system in continuous time, in the units of the record it came from.
+
+    M q̈ + D q̇ + K q = E u, outputs measured one per coordinate.
+
+    **Arguments:** `mass`, `damping`, `stiffness` (dofs × dofs, symmetric); `drive`: how the input enters
+    (default: input j is a force on coordinate j); `measured`: "displacement", "velocity" or "acceleration",
+    one for all outputs or one per output; `input_names`, `output_names`, `input_units`, `output_units`;
+    `effects`: what is added to the linear model.
+
+    **Raises:** `ValueError` when shapes or names do not fit together.
+    """
+
+    mass: Float[Array, "dofs dofs"]
+    damping: Float[Array, "dofs dofs"]
+    stiffness: Float[Array, "dofs dofs"]
+    drive: AbstractDrive
+    measured: tuple[str, ...] = eqx.field(static=True)
+    input_names: tuple[str, ...] = eqx.field(static=True)
+    output_names: tuple[str, ...] = eqx.field(static=True)
+    input_units: tuple[str, ...] = eqx.field(static=True)
+    output_units: tuple[str, ...] = eqx.field(static=True)
+    effects: tuple
+
+    def __init__(
+        self,
+        mass,
+        damping,
+        stiffness,
+        *,
+        drive: AbstractDrive | None = None,
+        measured="displacement",
+        input_names=None,
+        output_names=None,
+        input_units=None,
+        output_units=None,
+        effects=(),
+    ):
+        self.mass = _matrix(mass, "mass")
+        self.damping = _matrix(damping, "damping")
+        self.stiffness = _matrix(stiffness, "stiffness")
+        dofs = self.mass.shape[0]
+        self.drive = Force(jnp.eye(dofs)) if drive is None else drive
+        self.measured = (measured,) * dofs if isinstance(measured, str) else tuple(measured)
+        inputs = self.drive.inputs
+        self.input_names = tuple(input_names or (f"u{k + 1}" for k in range(inputs)))
+        self.output_names = tuple(output_names or (f"y{k + 1}" for k in range(dofs)))
+        self.input_units = tuple(input_units or ("",) * inputs)
+        self.output_units = tuple(output_units or ("",) * dofs)
+        self.effects = tuple(effects)
+
+    def __check_init__(self):
+        dofs = self.mass.shape[0]
+        for name in ("damping", "stiffness"):
+            if getattr(self, name).shape != self.mass.shape:
+                raise ValueError(
+                    f"{name} has shape {tuple(getattr(self, name).shape)}, mass has {tuple(self.mass.shape)}; "
+                    "give all three for the same coordinates."
+                )
+        if len(self.measured) != dofs or any(kind not in ORDER for kind in self.measured):
+            raise ValueError(
+                f"measured={self.measured} does not say displacement, velocity or acceleration for each of the "
+                f"{dofs} coordinates."
+            )
+        self.drive.check(dofs, self.measured)
+        for name, wanted in (
+            ("input_names", self.drive.inputs),
+            ("input_units", self.drive.inputs),
+            ("output_names", dofs),
+            ("output_units", dofs),
+        ):
+            if len(getattr(self, name)) != wanted:
+                raise ValueError(f"{name}={getattr(self, name)} has {len(getattr(self, name))} entries, not {wanted}.")
+
+    @property
+    def dofs(self) -> int:
+        """Number of coordinates."""
+        return self.mass.shape[0]
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return self.drive.inputs
+
+    def state_space(self, time_unit: float = 1.0) -> StateSpace:
+        """First-order form ẋ = A x + B u, y = C x + D u with x = (q, T q̇).
+
+        **Arguments:** `time_unit` (T) [s, default 1]: time is counted in it, so that a fast and a slow system
+        look alike to the numerics.
+
+        **Returns:** a `StateSpace` in continuous time.
+        """
+        return self.drive.state_space(self.mass, self.damping, self.stiffness, self.measured, time_unit)
+
+    def with_matrices(self, mass, damping, stiffness) -> "MechanicalModel":
+        """The same model with other matrices."""
+        return dataclasses.replace(
+            self,
+            mass=_matrix(mass, "mass"),
+            damping=_matrix(damping, "damping"),
+            stiffness=_matrix(stiffness, "stiffness"),
+        )
+

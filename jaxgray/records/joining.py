@@ -1,0 +1,76 @@
+"""Several records of one system: whether they belong together, and putting pieces end to end."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jaxgray.records.record import Record
+
+# Clocks of one logger differ by some parts per million between files.
+SAMPLING_TIME_TOLERANCE = 1e-4
+
+
+def check_compatible(records: Sequence[Record]) -> None:
+    """Check that records can be treated as several experiments on one system.
+
+    **Arguments:**
+
+    - `records`: at least one. Names, measured quantities, hold, scheduling channel and sampling time (to
+        1e-4) must agree with the first, and units where both have them.
+
+    **Raises:** `ValueError` naming what differs.
+    """
+    if not records:
+        raise ValueError("records is empty; give at least one record.")
+    first = records[0]
+    for k, other in enumerate(records[1:], start=1):
+        for what in ("input_names", "output_names", "measured", "hold", "scheduling_name"):
+            _demand(getattr(first, what) == getattr(other, what), k, what, first, other)
+        for what in ("input_units", "output_units"):
+            pairs = zip(getattr(first, what), getattr(other, what))
+            _demand(all(a == b or not a or not b for a, b in pairs), k, what, first, other)
+        apart = abs(other.sampling_time - first.sampling_time)
+        _demand(apart <= SAMPLING_TIME_TOLERANCE * first.sampling_time, k, "sampling_time", first, other)
+
+
+def _demand(holds: bool, k: int, what: str, first: Record, other: Record) -> None:
+    if not holds:
+        raise ValueError(
+            f"records[{k}] has {what} {getattr(other, what)!r} and records[0] has "
+            f"{getattr(first, what)!r}; they must agree: rename, select or resample."
+        )
+
+
+def concatenate(records: Sequence[Record]) -> Record:
+    """Contiguous pieces of one record, put end to end.
+
+    **Arguments:**
+
+    - `records`: in order, each starting where the one before ends (to a tenth of a sample). Experiments that
+        are not contiguous stay a list: joining them would invent a jump of the state.
+
+    **Returns:** one `Record`.
+
+    **Raises:** `ValueError` where the pieces do not belong together or are not contiguous.
+    """
+    records = list(records)
+    check_compatible(records)
+    first = records[0]
+    end = first.start_time + first.duration
+    for k, piece in enumerate(records[1:], start=1):
+        if abs(piece.start_time - end) > 0.1 * first.sampling_time:
+            raise ValueError(
+                f"records[{k}] starts at {piece.start_time:.9g} s and the one before ends at {end:.9g} s; "
+                "give contiguous pieces, or keep the records as a list."
+            )
+        end = piece.start_time + piece.duration
+    scheduling = None
+    if first.scheduling is not None:
+        scheduling = np.concatenate([piece.scheduling for piece in records])
+    return replace(
+        first,
+        u=np.concatenate([piece.u for piece in records]),
+        y=np.concatenate([piece.y for piece in records]),
+        scheduling=scheduling,
+    )

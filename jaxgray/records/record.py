@@ -1,0 +1,371 @@
+"""The record: what was measured, when, in which units, and what is missing."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxgray.records.channels import (
+    as_channels,
+    as_seconds,
+    as_texts,
+    channel_positions,
+    measured_per_output,
+    without_trend,
+)
+from jaxgray.records.describe import describe
+from jaxgray.records.periods import between_periods, find_period
+
+HOLDS = ("zero", "linear")
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class Record:
+    """One uniformly sampled record of inputs and outputs, immutable.
+
+    **Arguments:**
+
+    - `u`: inputs `(samples, inputs)`, finite; one dimension is one input.
+    - `y`: outputs `(samples, outputs)`, NaN where a sample is missing; one dimension is one output.
+    - `sampling_time`: time between samples in s.
+    - `input_names`, `output_names`: names of the channels; default `u1`, `u2`, … and `y1`, `y2`, ….
+    - `input_units`, `output_units`: units of the channels as text; default empty. Values stay in them.
+    - `hold`: the input between samples, `"zero"` (constant, default) or `"linear"`.
+    - `measured`: what the outputs are, `"displacement"` (default), `"velocity"` or `"acceleration"`, one for
+        all or one per output.
+    - `scheduling`: one more channel `(samples,)` on which the system may depend; default none.
+    - `scheduling_name`: its name; default `p` where there is such a channel.
+    - `start_time`: time of the first sample in s; default 0.
+
+    **Raises:** `ValueError` where an argument does not fit, saying which and what to do.
+    """
+
+    u: Float[np.ndarray, "samples inputs"]
+    y: Float[np.ndarray, "samples outputs"]
+    sampling_time: float
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    hold: str
+    measured: tuple[str, ...]
+    scheduling: Float[np.ndarray, " samples"] | None
+    scheduling_name: str | None
+    start_time: float
+
+    # Written out, because it takes more than it stores: lists, single channels, one word for all outputs.
+    def __init__(
+        self,
+        u,
+        y,
+        sampling_time,
+        *,
+        input_names=None,
+        output_names=None,
+        input_units=None,
+        output_units=None,
+        hold="zero",
+        measured="displacement",
+        scheduling=None,
+        scheduling_name=None,
+        start_time=0.0,
+    ):
+        def store(name, value):
+            object.__setattr__(self, name, value)
+
+        store("u", as_channels("u", u))
+        store("y", as_channels("y", y))
+        if self.u.shape[0] != self.y.shape[0]:
+            raise ValueError(
+                f"u has {self.u.shape[0]} samples and y has {self.y.shape[0]}; give both the same number "
+                "(time is the first axis)."
+            )
+        if self.samples < 2:
+            raise ValueError(f"u and y have {self.samples} samples; a record needs at least 2.")
+        if np.isnan(self.u).any():
+            row, column = np.argwhere(np.isnan(self.u))[0]
+            raise ValueError(
+                f"u is NaN at sample {row} of input {column}; only outputs may be missing: fill or cut the "
+                "input."
+            )
+        store("sampling_time", as_seconds("sampling_time", sampling_time))
+        store("start_time", as_seconds("start_time", start_time, positive=False))
+
+        store("input_names", as_texts("input_names", input_names, self.inputs, "u{}"))
+        store("output_names", as_texts("output_names", output_names, self.outputs, "y{}"))
+        names = self.input_names + self.output_names
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice or "" in names:
+            raise ValueError(
+                f"input_names and output_names are {names}; give every channel a name of its own."
+            )
+        store("input_units", as_texts("input_units", input_units, self.inputs, ""))
+        store("output_units", as_texts("output_units", output_units, self.outputs, ""))
+
+        if hold not in HOLDS:
+            raise ValueError(f"hold is {hold!r}; give one of {', '.join(HOLDS)}.")
+        store("hold", hold)
+        store("measured", measured_per_output(measured, self.outputs))
+
+        if scheduling is not None:
+            p = as_channels("scheduling", scheduling)
+            if p.shape != (self.samples, 1) or np.isnan(p).any():
+                raise ValueError(
+                    f"scheduling has shape {np.shape(scheduling)} or holds NaN; give one finite value "
+                    f"for each of the {self.samples} samples."
+                )
+            store("scheduling", p[:, 0])
+            store("scheduling_name", "p" if scheduling_name is None else str(scheduling_name))
+        elif scheduling_name is None:
+            store("scheduling", None)
+            store("scheduling_name", None)
+        else:
+            raise ValueError(
+                f"scheduling_name is {scheduling_name!r} but scheduling is missing; give the channel too."
+            )
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.u.shape[0]
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return self.u.shape[1]
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return self.y.shape[1]
+
+    @property
+    def duration(self) -> float:
+        """Length in s, samples times sampling time."""
+        return self.samples * self.sampling_time
+
+    @property
+    def sampling_rate_hz(self) -> float:
+        """Sampling rate in Hz."""
+        return 1.0 / self.sampling_time
+
+    @property
+    def time(self) -> Float[np.ndarray, " samples"]:
+        """Time of every sample in s."""
+        return self.start_time + self.sampling_time * np.arange(self.samples)
+
+    @property
+    def missing(self) -> Bool[np.ndarray, "samples outputs"]:
+        """True where an output sample is missing."""
+        return np.isnan(self.y)
+
+    @property
+    def has_missing(self) -> bool:
+        """Whether any output sample is missing."""
+        return bool(self.missing.any())
+
+    def __len__(self) -> int:
+        return self.samples
+
+    # Without this, `iter` would fall back on `__getitem__` with whole numbers.
+    __iter__ = None
+
+    def __getitem__(self, samples) -> "Record":
+        if not isinstance(samples, slice) or samples.step not in (None, 1):
+            raise ValueError(f"record[{samples!r}]: give a range of samples without a step, record[i:j].")
+        first, last, _ = samples.indices(self.samples)
+        if last - first < 2:
+            raise ValueError(
+                f"record[{samples.start}:{samples.stop}] leaves {max(0, last - first)} of {self.samples} "
+                "samples; a record needs at least 2."
+            )
+        return replace(
+            self,
+            u=self.u[first:last],
+            y=self.y[first:last],
+            scheduling=None if self.scheduling is None else self.scheduling[first:last],
+            start_time=self.start_time + first * self.sampling_time,
+        )
+
+    def between(self, start: float | None = None, stop: float | None = None) -> "Record":
+        """The samples with start ≤ time < stop.
+
+        **Arguments:**
+
+        - `start`: in s on the record's own clock; default its first sample.
+        - `stop`: in s on the record's own clock; default its end.
+
+        **Returns:** a `Record`.
+
+        **Raises:** `ValueError` where fewer than two samples are left.
+        """
+
+        # The millionth of a sample forgives times that were written as rounded decimals.
+        def index(time, default):
+            if time is None:
+                return default
+            position = (float(time) - self.start_time) / self.sampling_time
+            return int(np.clip(np.ceil(position - 1e-6), 0, self.samples))
+
+        first, last = index(start, 0), index(stop, self.samples)
+        if last - first < 2:
+            raise ValueError(
+                f"between({start}, {stop}) leaves {max(0, last - first)} samples; the record runs from "
+                f"{self.start_time:g} to {self.start_time + self.duration:g} s."
+            )
+        return self[first:last]
+
+    def split(self, fraction: float = 0.3) -> tuple["Record", "Record"]:
+        """Hold out the last part.
+
+        **Arguments:**
+
+        - `fraction`: share of the samples to hold out, between 0 and 1; default 0.3.
+
+        **Returns:** the estimation `Record` and the held-out validation `Record`.
+
+        **Raises:** `ValueError` where either part would have fewer than two samples.
+        """
+        if not 0.0 < fraction < 1.0:
+            raise ValueError(f"fraction is {fraction}; give the held-out share, between 0 and 1.")
+        first = self.samples - round(self.samples * fraction)
+        if min(first, self.samples - first) < 2:
+            raise ValueError(
+                f"fraction {fraction} splits {self.samples} samples into {first} and "
+                f"{self.samples - first}; each part needs at least 2."
+            )
+        return self[:first], self[first:]
+
+    def detrend(self, kind: str = "constant", *, inputs: bool = True, outputs: bool = True) -> "Record":
+        """Take the mean or the straight line out of every channel, missing samples ignored.
+
+        **Arguments:**
+
+        - `kind`: `"constant"` (default) or `"linear"`.
+        - `inputs`: whether the inputs are treated; default True.
+        - `outputs`: whether the outputs are treated; default True.
+
+        **Returns:** a `Record`.
+
+        **Raises:** `ValueError` for another kind.
+        """
+        if kind not in ("constant", "linear"):
+            raise ValueError(f"kind is {kind!r}; give 'constant' or 'linear'.")
+        degree = 0 if kind == "constant" else 1
+        return replace(
+            self,
+            u=without_trend(self.u, degree) if inputs else self.u,
+            y=without_trend(self.y, degree) if outputs else self.y,
+        )
+
+    def select(self, *, inputs=None, outputs=None) -> "Record":
+        """Some of the channels, in the order asked for.
+
+        **Arguments:**
+
+        - `inputs`: names or positions, one or several; default all.
+        - `outputs`: names or positions, one or several; default all.
+
+        **Returns:** a `Record`.
+
+        **Raises:** `ValueError` for a channel that is not there.
+        """
+        i = channel_positions("inputs", inputs, self.input_names)
+        j = channel_positions("outputs", outputs, self.output_names)
+        return replace(
+            self,
+            u=self.u[:, i],
+            y=self.y[:, j],
+            input_names=tuple(self.input_names[k] for k in i),
+            output_names=tuple(self.output_names[k] for k in j),
+            input_units=tuple(self.input_units[k] for k in i),
+            output_units=tuple(self.output_units[k] for k in j),
+            measured=tuple(self.measured[k] for k in j),
+        )
+
+    def clean_stretches(self, min_samples: int = 2) -> list[slice]:
+        """The stretches without a missing sample, longest first.
+
+        **Arguments:**
+
+        - `min_samples`: shorter stretches are left out; default 2.
+
+        **Returns:** slices for `record[slice]`.
+        """
+        whole = np.concatenate(([False], ~self.missing.any(axis=1), [False]))
+        edges = np.flatnonzero(np.diff(whole.astype(np.int8)))
+        stretches = [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= max(2, min_samples)]
+        return sorted(stretches, key=lambda s: s.start - s.stop)
+
+    def detect_period(self, tolerance: float = 0.05) -> int | None:
+        """The period of the inputs in samples.
+
+        **Arguments:**
+
+        - `tolerance`: largest RMS difference between repeats, as a share of the input's RMS about its mean;
+            default 0.05, which admits the noise of a measured input.
+
+        **Returns:** the smallest whole number of samples after which all inputs repeat, None where they do
+        not or where the record holds fewer than two periods.
+        """
+        return find_period(self.u, tolerance)
+
+    def average_periods(self, period_samples: int | None = None, *, skip: int = 0) -> "PeriodAverage":
+        """The mean over the periods, which leaves the noise behind.
+
+        **Arguments:**
+
+        - `period_samples`: samples in a period; default what `detect_period` finds.
+        - `skip`: leading periods left out, as the transient decays in them; default 0.
+
+        **Returns:** a `PeriodAverage`.
+
+        **Raises:** `ValueError` where there are fewer than two whole periods.
+        """
+        if period_samples is None:
+            period_samples = self.detect_period()
+            if period_samples is None:
+                raise ValueError("period_samples is missing and the inputs do not repeat; give the period.")
+        if period_samples < 2 or skip < 0 or int(period_samples) != period_samples or int(skip) != skip:
+            raise ValueError(
+                f"period_samples is {period_samples} and skip is {skip}; give a period of at least 2 "
+                "samples and a whole number of periods to skip."
+            )
+        period, skip = int(period_samples), int(skip)
+        periods = self.samples // period - skip
+        if periods < 2:
+            raise ValueError(
+                f"period_samples {period} and skip {skip} leave {max(0, periods)} whole periods of "
+                f"{self.samples} samples; averaging needs at least 2."
+            )
+        rows = slice(skip * period, (skip + periods) * period)
+        u, _ = between_periods(self.u[rows], periods)
+        y, variance = between_periods(self.y[rows], periods)
+        p = (
+            None
+            if self.scheduling is None
+            else between_periods(self.scheduling[rows, None], periods)[0][:, 0]
+        )
+        start = self.start_time + skip * period * self.sampling_time
+        variance.setflags(write=False)
+        return PeriodAverage(replace(self, u=u, y=y, scheduling=p, start_time=start), variance, periods)
+
+    def __repr__(self) -> str:
+        return describe(self)
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodAverage:
+    """The mean over the periods of a record, and how much the periods differ.
+
+    **Arguments:**
+
+    - `record`: one averaged period.
+    - `noise_variance`: variance of the outputs between periods, for each sample, in squared units; that of
+        the average is smaller by the number of periods. NaN where fewer than two periods have the sample.
+    - `periods`: number of periods averaged.
+    """
+
+    record: Record
+    noise_variance: Float[np.ndarray, "samples outputs"]
+    periods: int

@@ -1,0 +1,135 @@
+"""Named columns of numbers, as every reader hands them over."""
+
+import difflib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgray.records.channels import LARGEST_VALUE
+
+# `force [N]`, `force (N)`; a whole number in brackets counts, `u[0]`, and is no unit.
+_UNIT = re.compile(r"^(?P<name>.*?\S)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$")
+_SHOWN = 20
+
+
+def split_unit(header: str) -> tuple[str, str]:
+    """Name and unit of a header such as `force [N]` or `force (N)`.
+
+    **Arguments:**
+
+    - `header`: the text above the column.
+
+    **Returns:** name and unit, the latter empty where there is none.
+    """
+    header = header.strip()
+    match = _UNIT.match(header)
+    if match is None:
+        return header, ""
+    unit = (match["square"] if match["square"] is not None else match["round"]).strip()
+    if unit.isdecimal():
+        return header, ""
+    return match["name"].strip(), unit
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns by header, read one at a time because most files hold more than a record needs.
+
+    **Arguments:**
+
+    - `source`: the file's name, for messages.
+    - `headers`: the headers as written, in order.
+    - `column`: gives the numbers of the column at a position, NaN for an empty cell.
+    - `units`: units known from elsewhere, by header.
+    - `scalars`: single numbers in the file, by name.
+    """
+
+    source: str
+    headers: tuple[str, ...]
+    column: Callable[[int], np.ndarray]
+    row_numbers: np.ndarray | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    scalars: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The headers without their units."""
+        return tuple(split_unit(header)[0] for header in self.headers)
+
+    def row(self, sample) -> str:
+        """How to call the row of a sample in a message."""
+        return f"sample {sample}" if self.row_numbers is None else f"line {self.row_numbers[sample]}"
+
+    def find(self, argument: str, wanted: str) -> int:
+        """Position of the one column of that name, unit left out or written as in the header."""
+        if wanted in self.headers and self.headers.count(wanted) == 1:
+            return self.headers.index(wanted)
+        names = self.names
+        found = [k for k, name in enumerate(names) if name == wanted or self.headers[k] == wanted]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise ValueError(
+                f"{argument}: {self.source} has {len(found)} columns called {wanted!r}; give each a name "
+                "of its own."
+            )
+        raise ValueError(f"{argument}: {self.source} has no column {wanted!r}{self._nearest(wanted)}")
+
+    def _nearest(self, wanted: str) -> str:
+        names = list(dict.fromkeys(name for name in self.names if name))
+        members = [name for name in names if re.fullmatch(re.escape(wanted) + r"\[\d+\]", name)]
+        if members:
+            return f"; it has several columns, say {', '.join(members[:_SHOWN])}."
+        by_lower = {name.lower(): name for name in reversed(names)}
+        near = difflib.get_close_matches(wanted.lower(), list(by_lower), n=1)
+        hint = f"; did you mean {by_lower[near[0]]!r}?" if near else "."
+        shown = ", ".join(names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
+        return f"{hint} It has: {shown or 'no column of numbers'}."
+
+    def unit(self, position: int) -> str:
+        """Unit of the column at a position, empty where none is known."""
+        header = self.headers[position]
+        return self.units.get(header, "") or split_unit(header)[1]
+
+    def numbers(self, position: int) -> Float[np.ndarray, " samples"]:
+        """The column at a position, checked to be one-dimensional numbers."""
+        values = np.asarray(self.column(position))
+        name = self.names[position]
+        if values.dtype.kind == "M":
+            values = (values - values[0]) / np.timedelta64(1, "s")
+        elif values.dtype.kind == "m":
+            values = values / np.timedelta64(1, "s")
+        if values.dtype.kind == "O" or values.dtype.kind in "US":
+            values = _from_objects(self, name, values)
+        if values.dtype.kind not in "fiub":
+            raise ValueError(f"column {name!r} of {self.source} holds {values.dtype}; give real numbers.")
+        values = values.astype(np.float64)
+        infinite = np.flatnonzero(np.isinf(values))
+        if infinite.size:
+            raise ValueError(
+                f"column {name!r} of {self.source} is infinite at {self.row(infinite[0])}; correct or "
+                "empty the cell."
+            )
+        largest = np.nanmax(np.abs(values), initial=0.0)
+        if largest > LARGEST_VALUE:
+            raise ValueError(
+                f"column {name!r} of {self.source} reaches {largest:.3g}, beyond {LARGEST_VALUE:g}; check "
+                "the file or rescale the channel."
+            )
+        return values
+
+
+def _from_objects(table: Table, name: str, values: np.ndarray) -> np.ndarray:
+    result = np.empty(values.shape)
+    for k, value in enumerate(values):
+        try:
+            result[k] = np.nan if value is None else float(value)
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"column {name!r} of {table.source} holds the text {str(value)!r} at {table.row(k)}; give "
+                "numbers."
+            ) from None
+    return result
