@@ -1,15 +1,45 @@
 """Physical mass, damping and stiffness matrices from measured force and motion."""
 
-from .identification import Identification as Identification
-from .identification import identify as identify
-from .mechanics.drives import BaseAcceleration as BaseAcceleration
-from .mechanics.drives import BaseDisplacement as BaseDisplacement
-from .mechanics.drives import Force as Force
-from .mechanics.model import MechanicalModel as MechanicalModel
-from .mechanics.statespace import StateSpace as StateSpace
-from .numerics.outcomes import RESULTS as RESULTS
-from .numerics.outcomes import ComputationError as ComputationError
-from .records import Record as Record
-from .records import RecordWarning as RecordWarning
-from .records import preflight as preflight
-from .records import read_record as read_record
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .identification import Identification as Identification
+    from .identification import Sweep as Sweep
+    from .identification import identify as identify
+    from .identification import sweep as sweep
+    from .mechanics.drives import BaseAcceleration as BaseAcceleration
+    from .mechanics.drives import BaseDisplacement as BaseDisplacement
+    from .mechanics.drives import Force as Force
+    from .mechanics.model import MechanicalModel as MechanicalModel
+    from .mechanics.statespace import StateSpace as StateSpace
+    from .numerics.outcomes import RESULTS as RESULTS
+    from .numerics.outcomes import ComputationError as ComputationError
+    from .records import Record as Record
+    from .records import RecordWarning as RecordWarning
+    from .records import preflight as preflight
+    from .records import read_record as read_record
+
+_HOMES = {
+    "identification": ("Identification", "Sweep", "identify", "sweep"),
+    "mechanics.drives": ("BaseAcceleration", "BaseDisplacement", "Force"),
+    "mechanics.model": ("MechanicalModel",),
+    "mechanics.statespace": ("StateSpace",),
+    "numerics.outcomes": ("RESULTS", "ComputationError"),
+    "records": ("Record", "RecordWarning", "preflight", "read_record"),
+}
+__all__ = tuple(name for names in _HOMES.values() for name in names)  # noqa: PLE0604
+
+
+def __getattr__(name: str):
+    # Public names are fetched when first used, so that the command can answer before jax is loaded.
+    for home, names in _HOMES.items():
+        if name in names:
+            value = getattr(importlib.import_module(f"{__name__}.{home}"), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -2,3 +2,5 @@
 
 from .identify import identify as identify
 from .result import Identification as Identification
+from .sweeping import Sweep as Sweep
+from .sweeping import sweep as sweep

@@ -63,15 +63,15 @@ def part(vector: Float[Array, " entries"], sizes: tuple[int, ...]) -> list[Array
 
 
 @eqx.filter_jit
-def normal_equations(
+def sensitivities(
     blocks: list[Array],
     nuisance: Nuisance,
     whitening: Float[Array, "outputs outputs"],
     batch: Batch,
     setting: Setting,
     structure: Structure,
-) -> Normal:
-    """Cost, gradient and Gauss-Newton information in the entries of the blocks, first states and offsets.
+) -> tuple[Float[Array, "records samples outputs"], Float[Array, "records samples outputs parameters"]]:
+    """Whitened prediction errors, and their Jacobian by the entries of the blocks, first states and offsets.
 
     The noise parameters stay as they are: their information is, to first order, apart from that of the model.
     """
@@ -83,11 +83,29 @@ def normal_equations(
         vector, here = unravel(theta)
         here = Nuisance(here.x0, here.offset, nuisance.noise)
         system = setting.system(*structure.matrices(part(vector, sizes), dofs))
-        e = prediction_errors(system, batch, here, whitening).ravel()
+        e = prediction_errors(system, batch, here, whitening)
         return e, e
 
     J, e = jax.jacfwd(errors, has_aux=True)(start)
+    return e, J
+
+
+@jax.jit
+def _products(e, J):
+    e, J = e.ravel(), J.reshape(e.size, -1)
     return Normal(e @ e, J.T @ e, J.T @ J)
+
+
+def normal_equations(
+    blocks: list[Array],
+    nuisance: Nuisance,
+    whitening: Float[Array, "outputs outputs"],
+    batch: Batch,
+    setting: Setting,
+    structure: Structure,
+) -> Normal:
+    """Cost, gradient and Gauss-Newton information of `sensitivities`."""
+    return _products(*sensitivities(blocks, nuisance, whitening, batch, setting, structure))
 
 
 def without_noise(nuisance: Nuisance) -> Nuisance:

@@ -37,7 +37,7 @@ def identify(
     block_rows=None,
     weight="moesp",
     map="exact",
-    input_matrix_from: str = "record",
+    input_matrix_from: str = "best",
     excitation: str = "force",
     input_map=None,
     relative: bool = False,
@@ -60,7 +60,8 @@ def identify(
     - `block_rows`: i to try, one or several; default 4, 6, 8, 10 as the record allows.
     - `weight`: "moesp" (default), "n4sid", "cva", "past-inputs", or a weight object.
     - `map`: "exact" (default) or "paper", from the λ-operator to continuous time.
-    - `input_matrix_from`: "record" (default) or "factor", how the subspace start finds the input matrix.
+    - `input_matrix_from`: how the subspace start finds the input matrix, from the "record", from the compressed
+        "factor", or the "best" of both by free run (default).
     - `excitation`: "force" (default), "base-displacement", "base-acceleration", or "base" (kind by unit).
     - `input_map`: where inputs act: text "u1:y1,u2:y1-y2", a matrix outputs × inputs, or None (input j on the
         coordinate of output j).
@@ -86,8 +87,10 @@ def identify(
     notes = _preflight(records)
     if noise not in ("output-error", "innovations"):
         raise ValueError(f"noise={noise!r} is not known; choose 'output-error' or 'innovations'.")
-    if input_matrix_from not in ("record", "factor"):
-        raise ValueError(f"input_matrix_from={input_matrix_from!r} is not known; choose 'record' or 'factor'.")
+    if input_matrix_from not in ("best", "record", "factor"):
+        raise ValueError(
+            f"input_matrix_from={input_matrix_from!r} is not known; choose 'best', 'record' or 'factor'."
+        )
     weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
     drive = drive_of(records[0], excitation, input_map, relative)
     form = structure_of(structure)

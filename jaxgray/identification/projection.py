@@ -19,15 +19,15 @@ from .filter_bank import lambda_powers, lambda_shift, past_rows
 class Data(eqx.Module):
     """Future and past of one (time constant, block rows) choice, as columns over the factor's rows.
 
-    `Uf`, `Yf`: rows × (orders · channels), zero beyond `block_rows`; `past_inputs`, `past_outputs` and the
-    enlarged past with one more row; `live`: which of the padded orders count.
+    `family`: the factor's columns by order and channel (u, then y); `past`: past outputs, orthonormal
+    combinations of the family, zero beyond `block_rows`; `enlarged_past`: one order earlier, one row more.
     """
 
     a: Float[Array, ""]
     block_rows: Float[Array, ""]
     family: Float[Array, "rows orders channels"]
-    past: Float[Array, "rows padded channels"]
-    enlarged_past: Float[Array, "rows padded_plus_one channels"]
+    past: Float[Array, "rows padded outputs"]
+    enlarged_past: Float[Array, "rows padded_plus_one outputs"]
     inputs: int = eqx.field(static=True)
     padded: int = eqx.field(static=True)
 
@@ -64,8 +64,8 @@ def arrange(
         a,
         block_rows,
         family,
-        jnp.einsum("rj,qjc->qrc", past, family),
-        jnp.einsum("rj,qjc->qrc", enlarged, family),
+        jnp.einsum("rj,qjc->qrc", past, family[:, :, inputs:]),
+        jnp.einsum("rj,qjc->qrc", enlarged, family[:, :, inputs:]),
         inputs,
         padded,
     )
@@ -148,20 +148,24 @@ def _off(Q: Array, X: Array) -> Array:
 
 
 def _spans(data: Data, weight: AbstractWeight, fewer: int, past: Array, householder: bool):
-    """Orthonormal bases of the future inputs, and of the past off them."""
-    Uf, Yf = data.future(fewer)
-    rows, count = past.shape[:2]
-    channels = data.inputs if weight.input_instruments_only else past.shape[2]
-    live = jnp.concatenate(
-        [
-            jnp.repeat(data.live(fewer), data.inputs),
-            jnp.repeat(jnp.arange(count) < data.block_rows + fewer, channels),
-        ]
-    )
+    """Orthonormal bases of the future inputs, and of the past off them.
+
+    Future and past inputs together span f_0 u … f_{2i−1} u. Taken as these, in this order, they are well
+    conditioned at every τ; the past λ-powers beside the future are not (condition 1e8 at τ = 30 h, i = 10).
+    """
+    _, Yf = data.future(fewer)
+    rows = data.family.shape[0]
+    order = jnp.arange(2 * data.padded)
+    inputs = data.family[:, :, : data.inputs].reshape(rows, -1)
+    columns, live = [inputs], [jnp.repeat(order < 2 * data.block_rows, data.inputs)]
+    if not weight.input_instruments_only:
+        columns.append(past.reshape(rows, -1))
+        live.append(jnp.repeat(jnp.arange(past.shape[1]) < data.block_rows + fewer, data.outputs))
     # Together, since dependent columns are filled with directions that must stay off both groups.
-    columns = jnp.concatenate([Uf, past[:, :, :channels].reshape(rows, -1)], axis=1)
-    Q = orthonormal_basis(columns, live, householder=householder)
-    return Q[:, : Uf.shape[1]], Q[:, Uf.shape[1] :], Yf
+    Q = orthonormal_basis(jnp.concatenate(columns, axis=1), jnp.concatenate(live), householder=householder)
+    ahead = jnp.repeat(order < data.block_rows - fewer, data.inputs)
+    ahead = jnp.concatenate([ahead, jnp.zeros(Q.shape[1] - len(ahead), bool)])
+    return jnp.where(ahead, Q, 0.0), jnp.where(ahead, 0.0, Q), Yf
 
 
 def left_inverse(X: Float[Array, "rows states"]) -> Float[Array, "states rows"]:

@@ -23,6 +23,9 @@ from .structure import Structure
 FLOOR = 1e-12
 """Smallest residual, relative to the outputs, that the weights resolve: below it is rounding."""
 
+_BOLDNESS = 30.0
+"""The optimiser's first damping is 1: with Jacobian columns of this norm it is a thousandth of the curvature."""
+
 INITIAL_FORCE_NOISE = 0.05
 """Start of the force noise relative to the output noise in the innovations form, both scaled."""
 
@@ -107,12 +110,12 @@ def levenberg_marquardt(
         return prediction_errors(setting.system(*matrices), batch, here, whitening).ravel()
 
     size = jnp.linalg.norm(jax.jacfwd(errors)(start), axis=0)
-    size = jnp.where(size > 1e-12 * jnp.max(size), size, jnp.max(size))
+    size = jnp.where(size > 1e-12 * jnp.max(size), size, jnp.max(size)) / _BOLDNESS
 
     def scaled_errors(delta, _):
         return errors(start + delta / size)
 
-    solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-3, linear_solver=lx.Normal(lx.Cholesky()))
+    solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-2 / _BOLDNESS, linear_solver=lx.Normal(lx.Cholesky()))
     solution = optx.least_squares(
         scaled_errors, solver, jnp.zeros_like(start), max_steps=max_steps, throw=False, options={"jac": "fwd"}
     )

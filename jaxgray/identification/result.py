@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass, field
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -11,9 +9,9 @@ from jaxtyping import Float
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import RESULTS
 from ..records import Record
-from .conic import join, part
+from .conic import sensitivities, without_noise
 from .physical import Scaling
-from .prediction import Batch, Nuisance, Setting, free_run, prediction_errors
+from .prediction import Batch, Setting
 from .preparation import Signals, prepare
 from .refine import Refinement
 from .start import Start, model_run
@@ -123,25 +121,6 @@ class Identification:
         return "\n".join(lines)
 
 
-@eqx.filter_jit
-def _jacobian(
-    refinement_blocks, nuisance: Nuisance, whitening, batch: Batch, setting: Setting, structure: Structure
-):
-    """Whitened errors, and derivatives of the simulated outputs by blocks, first states and offsets."""
-    sizes = tuple(block.shape[0] for block in refinement_blocks)
-    dofs = len(setting.measured)
-    quiet = Nuisance(nuisance.x0, nuisance.offset, None)
-
-    def run(pair):
-        z, here = pair
-        return free_run(setting.system(*structure.matrices(part(z, sizes), dofs)), batch, here)
-
-    start = (join(refinement_blocks), quiet)
-    flat, unravel = jax.flatten_util.ravel_pytree(start)
-    J = jax.jacfwd(lambda theta: run(unravel(theta)))(flat)
-    return run(start), J
-
-
 def assess(
     model: MechanicalModel,
     records: list[Record],
@@ -167,9 +146,8 @@ def assess(
     noise = {"form": "output-error"}
     parameters = 3 * model.dofs * (model.dofs + 1) // 2
     if refinement is not None:
-        _, J = _jacobian(
-            refinement.blocks, refinement.nuisance, refinement.whitening, batch, setting, structure
-        )
+        quiet, plain = without_noise(refinement.nuisance), jnp.eye(model.dofs)
+        _, J = sensitivities(refinement.blocks, quiet, plain, batch, setting, structure)
         J = np.asarray(J)
         meat = None
         if refinement.nuisance.noise is None and not tests.white:

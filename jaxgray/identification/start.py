@@ -124,14 +124,14 @@ def subspace_start(
     *,
     weight: AbstractWeight,
     map: AbstractMap,
-    input_matrix_from: str = "record",
+    input_matrix_from: str = "best",
     known_mass: Array | None = None,
 ) -> Start:
     """The best subspace model over a grid of time constants and block rows.
 
     **Arguments:** `signals`: scaled records; `setting`; `time_constants` [s]; `block_rows`; `sampling_time`
-    [s]; `weight`; `map`; `input_matrix_from`: "record" (regression on simulated responses) or "factor" (the
-    paper's step 6); `known_mass`: scaled, or None.
+    [s]; `weight`; `map`; `input_matrix_from`: "record" (regression on simulated responses), "factor" (the
+    paper's step 6), or "best" (both, judged by free run); `known_mass`: scaled, or None.
 
     **Returns:** a `Start`.
 
@@ -162,31 +162,41 @@ def subspace_start(
     for flat in order[:5]:
         index = np.unravel_index(flat, table.shape)
         chosen = jax.tree_util.tree_map(lambda leaf, index=index: leaf[index], found)
-        fit = chosen.fit
-        if input_matrix_from == "record":
-            spread = jnp.sqrt(jnp.maximum(chosen.deviation, 1e-24))
-            weights = jnp.exp(jnp.mean(jnp.log(spread))) / spread
-            parts = [_record_fit(chosen.realization, s, weights, setting) for s in signals]
-            fit = InputFit(
-                jnp.concatenate([p.factor for p in parts]), jnp.concatenate([p.target for p in parts])
-            )
-        try:
-            matrices = physical_model(chosen.realization, fit, setting, known_mass)
-        except ComputationError as error:
-            failure = error
-            continue
-        deviation = total_deviation(matrices, setting, signals)
-        if np.all(np.isfinite(deviation)):
-            return Start(
+        best = None
+        for fit in _input_fits(chosen, signals, setting, input_matrix_from):
+            try:
+                matrices = physical_model(chosen.realization, fit, setting, known_mass)
+            except ComputationError as error:
+                failure = error
+                continue
+            here = Start(
                 matrices,
-                deviation,
+                total_deviation(matrices, setting, signals),
                 "subspace",
                 float(time_constants[index[0]]),
                 int(block_rows[index[1]]),
                 np.asarray(chosen.realization.singular_values),
                 table,
             )
+            if np.isfinite(here.score) and (best is None or here.score > best.score):
+                best = here
+        if best is not None:
+            return best
     raise failure or ComputationError(RESULTS.unstable_start, stage="subspace start")
+
+
+def _input_fits(chosen, signals: list[Signals], setting: Setting, source: str) -> list[InputFit]:
+    """The least squares for B₂ that `source` names."""
+    fits = [chosen.fit] if source != "record" else []
+    if source != "factor":
+        spread = jnp.sqrt(jnp.maximum(chosen.deviation, 1e-24))
+        weights = jnp.exp(jnp.mean(jnp.log(spread))) / spread
+        parts = [_record_fit(chosen.realization, s, weights, setting) for s in signals]
+        stacked = InputFit(
+            jnp.concatenate([p.factor for p in parts]), jnp.concatenate([p.target for p in parts])
+        )
+        fits.append(stacked)
+    return fits
 
 
 def _why_none(found) -> ComputationError:

@@ -37,8 +37,8 @@ class Candidate(eqx.Module):
 def default_time_constants(record: Record, count: int = DEFAULT_TIME_CONSTANTS) -> Float[np.ndarray, " time_constants"]:
     """Logarithmic grid of τ [s], from two samples to the slowest motion that the record shows.
 
-    The slowest motion is taken from the outputs' spectra: the frequency below which a tenth of the power
-    lies, but no slower than a twentieth of the record.
+    The slowest motion is taken from the outputs' spectra: the frequency below which half of the power lies,
+    but no slower than a twentieth of the record.
 
     **Arguments:** `record`; `count`: how many.
 
@@ -47,7 +47,7 @@ def default_time_constants(record: Record, count: int = DEFAULT_TIME_CONSTANTS) 
     y = np.nan_to_num(record.y - np.nanmean(record.y, axis=0))
     power = np.abs(np.fft.rfft(y * np.hanning(len(y))[:, None], axis=0)) ** 2
     power = np.cumsum(np.mean(power / np.sum(power, axis=0), axis=1))
-    line = max(1, int(np.searchsorted(power, 0.1)))
+    line = max(1, int(np.searchsorted(power, 0.5)))
     slowest = len(y) * record.sampling_time / (2 * np.pi * line)
     low = 2 * record.sampling_time
     high = np.clip(slowest, 20 * record.sampling_time, record.duration / 20)
@@ -57,17 +57,21 @@ def default_time_constants(record: Record, count: int = DEFAULT_TIME_CONSTANTS) 
 def record_factors(
     signals: list[Signals], poles: Float[Array, " time_constants"], block_rows: int
 ) -> tuple[Float[Array, "time_constants columns columns"], bool]:
-    """Factors of one or several records for every pole; Householder QR where the rows are dependent.
+    """Factors of one or several records for every pole.
 
-    **Returns:** the factors, and whether Householder QR was needed.
+    Where the rows are dependent for most poles (hardly any noise), all are done by Householder QR. Where only a
+    few poles make them so, these poles are far off: their factors are not a number, and they are passed over.
+
+    **Returns:** the factors, and whether Householder QR was used.
     """
-    for householder in (False, True):
-        parts = [
-            factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=householder) for s in signals
-        ]
-        if householder or all(bool(jnp.all(pivot > RANK_TOLERANCE)) for _, pivot in parts):
-            break
-    return jax.vmap(combine)(jnp.stack([factor for factor, _ in parts], axis=1)), householder
+    parts = [factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=False) for s in signals]
+    usable = np.all([np.asarray(pivot > RANK_TOLERANCE) for _, pivot in parts], axis=0)
+    householder = bool(np.sum(usable) <= len(usable) / 2)
+    if householder:
+        parts = [factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=True) for s in signals]
+        usable[:] = True
+    grid = jax.vmap(combine)(jnp.stack([factor for factor, _ in parts], axis=1))
+    return jnp.where(jnp.asarray(usable)[:, None, None], grid, jnp.nan), householder
 
 
 def deviation(

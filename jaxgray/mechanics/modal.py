@@ -22,8 +22,9 @@ class Modes(eqx.Module):
 
     `natural_frequency_hz` [Hz]: undamped, 0 for rigid-body modes (and for those with negative stiffness);
     `damping_ratio`: a fraction, NaN where the natural frequency is 0; `mode_shapes` (dofs × modes): undamped,
-    real, VᵀMV = I, largest entry positive; `poles` [rad/s]: damped, by ascending magnitude, both of each pair;
-    `complex_mode_shapes` (dofs × poles): (s²M + sD + K)φ = 0, largest entry 1; `names` of the coordinates.
+    real, VᵀMV = I, largest entry positive; `poles` [rad/s]: damped, by ascending magnitude, both of each
+    pair; `complex_mode_shapes` (dofs × poles): (s²M + sD + K)φ = 0, largest entry 1; `names` of the
+    coordinates.
     """
 
     natural_frequency_hz: Float[np.ndarray, " modes"]
@@ -50,7 +51,9 @@ class Modes(eqx.Module):
 def undamped_modes(
     mass: Float[Array, "dofs dofs"], stiffness: Float[Array, "dofs dofs"]
 ) -> tuple[Float[Array, " modes"], Float[Array, "dofs modes"]]:
-    """Squared natural frequencies and mass-normalised mode shapes of K v = ω² M v, by the Cholesky factor of M.
+    """Squared natural frequencies and mass-normalised mode shapes of K v = ω² M v.
+
+    By the Cholesky factor of M, so that real shapes come out orthogonal also at repeated frequencies.
 
     The derivative of the shapes leaves out the part that would turn them within one repeated frequency, so
     that it is finite there too; everything that does not depend on the choice of shapes is right.
@@ -81,8 +84,10 @@ def _undamped_modes_jvp(primals, tangents):
     return (squared, V), (jnp.diag(from_stiffness) - squared * jnp.diag(from_mass), V @ change)
 
 
-def time_scale(squared: Float[Array, " modes"], modal_damping: Float[Array, "modes modes"]) -> Float[Array, ""]:
-    """Time [s] in which the fastest motion of a model is of unit rate, from ω² and VᵀDV; 1 where nothing moves."""
+def time_scale(
+    squared: Float[Array, " modes"], modal_damping: Float[Array, "modes modes"]
+) -> Float[Array, ""]:
+    """Time [s] in which the fastest motion is of unit rate, from ω² and VᵀDV; 1 where nothing moves."""
     rate = jnp.maximum(jnp.sqrt(jnp.max(jnp.abs(squared))), jnp.max(jnp.abs(modal_damping)))
     return 1.0 / jnp.where(rate > 0, rate, 1.0)
 
@@ -92,8 +97,8 @@ def damped_poles(
 ) -> tuple[Complex[Array, " states"], Complex[Array, "dofs states"]]:
     """Poles s and complex mode shapes of (s²M + sD + K)φ = 0, in no particular order.
 
-    The derivative of the poles is that of simple ones, −φᵀ(s²dM + s dD + dK)φ / φᵀ(2sM + D)φ, and zero where the
-    denominator vanishes (a double pole has none); the shapes are taken as constant.
+    The derivative of the poles is that of simple ones, −φᵀ(s²dM + s dD + dK)φ / φᵀ(2sM + D)φ, and zero where
+    the denominator vanishes (a double pole has none); the shapes are taken as constant.
 
     **Arguments:** `mass`, `damping`, `stiffness`: symmetric.
 
@@ -124,8 +129,9 @@ def natural_frequencies_hz_and_damping(
 ) -> tuple[Float[Array, " modes"], Float[Array, " modes"]]:
     """Undamped natural frequencies, and damping ratios ζ = −Re s/|s| of the poles that belong to them.
 
-    Each pole goes with the mode of which its complex shape holds most, the clearest first. A mode for which no
-    oscillating pole is left (overdamped) has ζ = vᵀDv/2ω. Traceable and differentiable where poles are simple.
+    Each pole goes with the mode of which its complex shape holds most, the clearest first. A mode for which
+    no oscillating pole is left (overdamped) has ζ = vᵀDv/2ω. Traceable and differentiable where poles are
+    simple.
 
     **Arguments:** `mass`, `damping`, `stiffness`: symmetric, mass positive definite.
 
@@ -149,7 +155,7 @@ def natural_frequencies_hz_and_damping(
     omega = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1.0)), 0.0)
     size = jnp.where(oscillates, jnp.sqrt(jnp.where(oscillates, s.real**2 + s.imag**2, 1.0)), 1.0)
     modal = jnp.diag(V.T @ damping @ V) / (2 * jnp.where(moving, omega, 1.0))
-    ratio = jnp.where(pole_of >= 0, (-s.real / size)[pole_of], modal)
+    ratio = jnp.where(pole_of >= 0, (0.0 - s.real / size)[pole_of], modal)
     return omega / (2 * jnp.pi), jnp.where(moving, ratio, jnp.nan)
 
 
@@ -184,15 +190,16 @@ def check_mass(model: MechanicalModel) -> None:
     values = np.linalg.eigvalsh(np.asarray(model.mass))
     if not values[0] > 0:
         raise ValueError(
-            f"mass has the eigenvalue {values[0]:.3g}; give a positive definite matrix, every direction needs inertia."
+            f"mass has the eigenvalue {values[0]:.3g}; give a positive definite matrix, since there is "
+            "inertia in every direction."
         )
 
 
 def mac(shapes_a, shapes_b) -> Float[np.ndarray, "modes_a modes_b"]:
     """Modal assurance criterion |aᴴb|² / (aᴴa · bᴴb): 1 where two shapes are alike, whatever their scale.
 
-    **Arguments:** `shapes_a`, `shapes_b`: one shape a column, real or complex, over the same coordinates; those
-    should be of one unit.
+    **Arguments:** `shapes_a`, `shapes_b`: one shape a column, real or complex, over the same coordinates;
+    those should be of one unit.
 
     **Returns:** one row for each shape of `shapes_a`, one column for each of `shapes_b`.
 
@@ -200,7 +207,9 @@ def mac(shapes_a, shapes_b) -> Float[np.ndarray, "modes_a modes_b"]:
     """
     a, b = (np.asarray(X).reshape(np.shape(X)[0], -1) for X in (shapes_a, shapes_b))
     if a.shape[0] != b.shape[0]:
-        raise ValueError(f"shapes_a has {a.shape[0]} rows, shapes_b has {b.shape[0]}; give the same coordinates.")
+        raise ValueError(
+            f"shapes_a has {a.shape[0]} rows, shapes_b has {b.shape[0]}; give the same coordinates."
+        )
     size = np.sum(np.abs(a) ** 2, axis=0)[:, None] * np.sum(np.abs(b) ** 2, axis=0)[None, :]
     return np.abs(a.conj().T @ b) ** 2 / np.where(size > 0, size, 1.0)
 
@@ -212,31 +221,43 @@ def check_kind(kind: str) -> str:
     return kind
 
 
+def known_rate(model: MechanicalModel) -> str:
+    """What is known of the coordinates from the input alone, "displacement" or "acceleration".
+
+    With the base acceleration as input their absolute motion is only known as acceleration.
+    """
+    try:
+        model.drive.check(model.dofs, ("displacement",) * model.dofs)
+    except ValueError:
+        return "acceleration"
+    return "displacement"
+
+
 def response(
-    model: MechanicalModel, omega: Float[Array, " frequencies"], kind: str
+    model: MechanicalModel, omega: Float[Array, " frequencies"]
 ) -> Complex[Array, "frequencies outputs inputs"]:
-    """`frequency_response`, traceable."""
+    """Frequency-response function of the `known_rate` of the coordinates, whatever is measured; traceable."""
     squared, V = undamped_modes(model.mass, model.stiffness)
     T = jax.lax.stop_gradient(time_scale(squared, V.T @ model.damping @ V))
-    # What the coordinates do, whatever is measured of them; absolute motion of a base-excited model in terms of
-    # the base acceleration is only an acceleration.
-    native = "displacement"
-    try:
-        model.drive.check(model.dofs, (native,) * model.dofs)
-    except ValueError:
-        native = "acceleration"
-    system = model.drive.state_space(model.mass, model.damping, model.stiffness, (native,) * model.dofs, T)
-    return system.transfer(omega * T) * (1j * omega[:, None, None]) ** (KINDS[kind] - ORDER[native])
+    rates = (known_rate(model),) * model.dofs
+    return model.drive.state_space(model.mass, model.damping, model.stiffness, rates, T).transfer(omega * T)
 
 
 _response = eqx.filter_jit(response)
+
+
+def rate_factor(model: MechanicalModel, omega, kind: str) -> Complex[np.ndarray, "frequencies 1 1"]:
+    """(jω)^k, which leads from `response` to the kind asked for."""
+    return (1j * np.asarray(omega)[:, None, None]) ** (KINDS[check_kind(kind)] - ORDER[known_rate(model)])
 
 
 def check_omega(omega) -> Float[Array, " frequencies"]:
     """Frequencies as an array, or a `ValueError`."""
     given = np.atleast_1d(np.asarray(omega, dtype=float))
     if given.ndim != 1 or not np.isfinite(given).all():
-        raise ValueError(f"omega has shape {given.shape} or is not finite; give frequencies in rad/s, one dimension.")
+        raise ValueError(
+            f"omega has shape {given.shape} or is not finite; give frequencies in rad/s, one dimension."
+        )
     return jnp.asarray(given)
 
 
@@ -251,10 +272,11 @@ def frequency_response(
     **Arguments:** `model`; `omega`: frequencies [rad/s]; `kind`: "receptance" (displacement, k = 0, default),
     "mobility" (velocity, k = 1) or "accelerance" (acceleration, k = 2) per unit input.
 
-    **Returns:** complex, frequencies × outputs × inputs, in the coordinates' units; not finite at a pole on the
-    imaginary axis.
+    **Returns:** complex, frequencies × outputs × inputs, in the coordinates' units; not finite at a pole on
+    the imaginary axis.
 
     **Raises:** `ValueError` for another kind or bad frequencies.
     """
     ready()
-    return np.asarray(_response(model, check_omega(omega), check_kind(kind)))
+    omega = check_omega(omega)
+    return np.asarray(_response(model, omega)) * rate_factor(model, omega, kind)

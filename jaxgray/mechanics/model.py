@@ -121,3 +121,87 @@ class MechanicalModel(eqx.Module):
             stiffness=_matrix(stiffness, "stiffness"),
         )
 
+    def simulate(self, u, sampling_time=None, *, hold=None, x0=None, offset=None):
+        """Free-run simulation.
+
+        **Arguments:** `u`: a `Record`, of which the inputs, sampling time and hold are taken, or inputs
+        (samples × inputs); `sampling_time` [s], only without a record; `hold`: default the record's, or
+        "zero"; `x0`, `offset`: as for `jaxgray.mechanics.simulate.simulate`.
+
+        **Returns:** the outputs (samples × outputs).
+
+        **Raises:** `ValueError` where an argument does not fit; `ComputationError` where the outputs grow
+        without bound.
+        """
+        from .simulate import signals_of, simulate
+
+        u, _, sampling_time, hold = signals_of(u, None, sampling_time, hold)
+        return simulate(self, u, sampling_time, hold=hold, x0=x0, offset=offset)
+
+    def predict(
+        self,
+        u,
+        y=None,
+        sampling_time=None,
+        *,
+        hold=None,
+        x0=None,
+        offset=None,
+        force_noise_ratio=0.0,
+        output_noise=None,
+    ):
+        """One-step prediction.
+
+        **Arguments:** `u`: a `Record`, or inputs; `y`, `sampling_time` [s]: only without a record; `hold`:
+        default the record's, or "zero"; `x0`, `offset`, `force_noise_ratio`, `output_noise`: as for
+        `jaxgray.mechanics.simulate.predict`.
+
+        **Returns:** the predicted outputs (samples × outputs).
+
+        **Raises:** as `simulate`.
+        """
+        from .simulate import predict, signals_of
+
+        u, y, sampling_time, hold = signals_of(u, y, sampling_time, hold)
+        noise = {"force_noise_ratio": force_noise_ratio, "output_noise": output_noise}
+        return predict(self, u, y, sampling_time, hold=hold, x0=x0, offset=offset, **noise)
+
+    def modes(self):
+        """Natural frequencies, damping ratios, mode shapes and poles, as `Modes`."""
+        from .modal import modes
+
+        return modes(self)
+
+    def zeros(self, *, input=None, output=None):
+        """Transmission zeros, or those from one input to one output, with antiresonances in Hz.
+
+        **Arguments:** `input`, `output`: name or position; both or neither.
+
+        **Returns:** `Zeros`.
+
+        **Raises:** `ValueError` when only one is given, or where there are no zeros to speak of.
+        """
+        from .zeros import transmission_zeros, zeros
+
+        if input is None and output is None:
+            return transmission_zeros(self)
+        return zeros(self, input=input, output=output)
+
+    def frequency_response(self, omega, *, kind="receptance"):
+        """Frequency-response function of the coordinates.
+
+        **Arguments:** `omega`: frequencies [rad/s]; `kind`: "receptance" (default), "mobility" or
+        "accelerance".
+
+        **Returns:** complex, frequencies × outputs × inputs.
+
+        **Raises:** `ValueError` for another kind or bad frequencies.
+        """
+        from .modal import frequency_response
+
+        return frequency_response(self, omega, kind=kind)
+
+    def __repr__(self) -> str:
+        from .describe import describe
+
+        return describe(self)

@@ -10,56 +10,56 @@ from ..numerics.lifting import free_response, respond
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.riccati import kalman_gain
 from ..numerics.runtime import ready
+from ..records import Record
 from ..records.channels import as_channels, as_seconds
 from .model import MechanicalModel
 from .statespace import StateSpace, check_hold, hold_matrices, sampled
 
 RANK_TOLERANCE = 1e-10
-"""Singular value, relative to the largest, below which a direction of first state and offset is not determined."""
+"""Relative singular value below which a direction of first state and offset is not determined."""
+
+LEAST_NOISE = 1e-6
+"""Output noise, relative to the output, that prediction assumes at least: without, it has no gain."""
 
 
-def sampled_model(model: MechanicalModel, sampling_time, hold: str) -> tuple[StateSpace, Array]:
-    """The linear part of a model at its sampling instants, time counted in samples, and where its state starts.
+def sampled_model(model: MechanicalModel, sampling_time, hold: str) -> tuple[StateSpace, Array, Array]:
+    """The linear part of a model at its sampling instants, and what its state holds.
 
-    The state of the sampled system is x̃ = (q, h q̇) − S u: S holds what the linear hold takes out of the
-    recursion and what a measured base displacement adds to the velocity.
+    The state of the sampled system is x̃ = (q, h q̇) − (H + S) u: H is what the linear hold takes out of the
+    recursion, S what a measured base displacement adds to the velocity.
 
     **Arguments:** `model`; `sampling_time` (h) [s]; `hold`: "zero" or "linear".
 
-    **Returns:** the sampled `StateSpace`, and S (states × inputs).
+    **Returns:** the sampled `StateSpace`, H and S (states × inputs).
     """
     continuous = model.state_space(sampling_time)
     speed = model.drive.state_space(
         model.mass, model.damping, model.stiffness, ("velocity",) * model.dofs, sampling_time
     )
     to_speed = jnp.concatenate([jnp.zeros_like(speed.D), speed.D * sampling_time])
-    return sampled(continuous, 1.0, hold), hold_matrices(continuous.A, continuous.B, 1.0, hold)[2] + to_speed
+    return sampled(continuous, 1.0, hold), hold_matrices(continuous.A, continuous.B, 1.0, hold)[2], to_speed
 
 
-def linear_free_run(model: MechanicalModel, u, sampling_time, hold: str, x0) -> Float[Array, "samples outputs"]:
-    """Outputs of the linear part of a model, exact for inputs that follow the hold; traceable.
+# Apart, so that a record of another length does not compile the matrix exponential again.
+_sampled_model = eqx.filter_jit(sampled_model)
+_respond = eqx.filter_jit(respond)
+_free_response = eqx.filter_jit(free_response)
+
+
+def free_run(model: MechanicalModel, u, sampling_time, hold: str, x0) -> Float[Array, "samples outputs"]:
+    """Outputs of a model: the one place to dispatch what `model.effects` add to the linear part.
 
     **Arguments:** `model`; `u`: inputs (samples × inputs); `sampling_time` [s]; `hold`: "zero" or "linear";
     `x0`: first (q, q̇), or None: at rest, a measured base at zero until the first sample.
 
-    **Returns:** the outputs, one row a sample.
+    **Returns:** the outputs, exact for inputs that follow the hold, one row a sample.
     """
-    system, shift = sampled_model(model, sampling_time, hold)
-    if x0 is None:
-        continuous = model.state_space(sampling_time)
-        start = -hold_matrices(continuous.A, continuous.B, 1.0, hold)[2] @ u[0]
-    else:
-        start = jnp.concatenate([x0[: model.dofs], x0[model.dofs :] * sampling_time]) - shift @ u[0]
-    return respond(system.A, system.B, system.C, system.D, u, start)
-
-
-@eqx.filter_jit
-def free_run(model: MechanicalModel, u, sampling_time, hold: str, x0) -> Float[Array, "samples outputs"]:
-    """Outputs of a model: the one place where what is added to the linear part, `model.effects`, is dispatched.
-
-    **Arguments**, **Returns:** as for `linear_free_run`.
-    """
-    return linear_free_run(model, u, sampling_time, hold, x0)
+    system, held, to_speed = _sampled_model(model, sampling_time, hold)
+    start = -held @ u[0]
+    if x0 is not None:
+        q, v = jnp.split(x0, 2)
+        start = start + jnp.concatenate([q, v * sampling_time]) - to_speed @ u[0]
+    return _respond(system.A, system.B, system.C, system.D, u, start)
 
 
 def simulate(
@@ -75,7 +75,8 @@ def simulate(
 
     **Returns:** the outputs (samples × outputs), in the output units.
 
-    **Raises:** `ValueError` where an argument does not fit; `ComputationError` where the outputs are not finite.
+    **Raises:** `ValueError` where an argument does not fit; `ComputationError` where the outputs are not
+    finite.
     """
     u, h = _input(model, u, sampling_time, hold)
     x0 = _vector("x0", x0, 2 * model.dofs, "displacements, then velocities")
@@ -88,21 +89,14 @@ def simulate(
     return y
 
 
-@eqx.filter_jit
-def _start_regression(model, u, sampling_time, hold):
-    system, shift = sampled_model(model, sampling_time, hold)
-    forced = respond(system.A, system.B, system.C, system.D, u)
-    return forced, free_response(system.A, system.C, u.shape[0]), shift @ u[0]
-
-
 def initial_state(
     model: MechanicalModel, u, y, sampling_time: float, *, hold: str = "zero", offset: bool = True, kept=None
 ) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, " outputs"]]:
     """First state and constant output offset by which a model's free run comes nearest to a record.
 
-    min Σ_k ‖(y − ŷ_k − offset_k)/rms_k‖² over the first state and the offsets, a linear least squares with each
-    output in units of its own standard deviation. Where the two cannot be told apart (a rigid body may stand
-    anywhere) the smallest solution is taken, every unknown counted by what it moves.
+    min Σ ((y − ŷ − offset)/σ)² over the first state and the offsets, a linear least squares with each output
+    in units of its own standard deviation σ. Where the two cannot be told apart (a rigid body may
+    stand anywhere) the smallest solution is taken, every unknown counted by what it moves.
 
     **Arguments:** `model`; `u`, `y`: inputs and outputs (samples × channels), NaN in `y` where missing;
     `sampling_time` [s]; `hold`: "zero" (default) or "linear"; `offset`: whether outputs may have one, default
@@ -124,13 +118,21 @@ def initial_state(
             raise ValueError(f"kept has shape {kept.shape}; give ({samples},) or {y.shape} truth values.")
         known = known & kept.reshape(samples, -1)
     if not known.any():
-        raise ValueError("y and kept leave no sample to find the initial state from; keep some that are measured.")
-    forced, free, shift = (np.asarray(part) for part in _start_regression(model, u, h, hold))
+        raise ValueError(
+            "y and kept leave no sample to find the initial state from; keep some that are measured."
+        )
+    system, held, to_speed = _sampled_model(model, h, hold)
+    forced = np.asarray(_respond(system.A, system.B, system.C, system.D, u, jnp.zeros(2 * dofs)))
+    free = np.asarray(_free_response(system.A, system.C, samples))
     if not (np.isfinite(forced).all() and np.isfinite(free).all()):
-        raise ComputationError(RESULTS.nonfinite, stage="initial state", detail="the model's motion grows without bound")
+        raise ComputationError(
+            RESULTS.nonfinite, stage="initial state", detail="the model's motion grows without bound"
+        )
     counted = np.maximum(known.sum(axis=0), 1)
     measured = np.where(known, y, 0.0)
-    size = np.sqrt(np.sum(np.where(known, measured - measured.sum(axis=0) / counted, 0.0) ** 2, axis=0) / counted)
+    size = np.sqrt(
+        np.sum(np.where(known, measured - measured.sum(axis=0) / counted, 0.0) ** 2, axis=0) / counted
+    )
     weight = known / np.where(size > 0, size, 1.0)
     table = free
     if offset:
@@ -140,15 +142,14 @@ def initial_state(
     norm = np.where(norm > 0, norm, 1.0)
     target = ((measured - forced) * weight)[known]
     found = np.linalg.lstsq(table / norm, target, rcond=RANK_TOLERANCE)[0] / norm
-    state = found[: 2 * dofs] + shift
-    state = np.concatenate([state[:dofs], state[dofs:] / h])
+    state = found[: 2 * dofs] + np.asarray((held + to_speed) @ u[0])
+    state = np.concatenate([state[:dofs], state[dofs:] / float(h)])
     return state, found[2 * dofs :] if offset else np.zeros(dofs)
 
 
 @eqx.filter_jit
-def _corrections(model, u, residual, kept, sampling_time, hold, force, deviation):
+def _corrections(system, residual, kept, force, deviation):
     """One-step corrections C x̂ of the free run by a stationary Kalman filter on its residual."""
-    system, _ = sampled_model(model, sampling_time, hold)
     C = system.C / deviation[:, None]
     D = system.D / deviation[:, None]
     gain, _ = kalman_gain(
@@ -183,12 +184,13 @@ def predict(
 
     **Arguments:** `model`; `u`, `y`: inputs and outputs (samples × channels), NaN in `y` where missing;
     `sampling_time` [s]; `hold`: "zero" (default) or "linear"; `x0`, `offset`: as for `simulate`;
-    `force_noise_ratio` (ρ): one for all inputs or one per input, default 0; `output_noise`: standard deviation
-    of the noise per output, default from the second differences of the free-run residual.
+    `force_noise_ratio` (ρ): one for all inputs or one per input, default 0; `output_noise`: standard
+    deviation of the noise per output, default from the second differences of the free-run residual.
 
     **Returns:** the predicted outputs (samples × outputs).
 
-    **Raises:** `ValueError` where an argument does not fit; `ComputationError` where the outputs are not finite.
+    **Raises:** `ValueError` where an argument does not fit; `ComputationError` where the outputs are not
+    finite.
 
     **Reference:** Ljung, *System Identification*, §4.3 (innovations form).
     """
@@ -207,24 +209,42 @@ def predict(
     output_noise = np.asarray(_vector("output_noise", output_noise, model.dofs, "one per output"))
     if (output_noise < 0).any():
         raise ValueError(f"output_noise is {output_noise}; give standard deviations, 0 or more.")
-    # Below this share of the signal is rounding, and the gain would divide by zero.
-    size = np.sqrt(np.mean(free**2, axis=0))
-    deviation = np.maximum(output_noise, 1e-9 * np.where(size > 0, size, 1.0))
+    size = np.sqrt(np.sum(np.where(known, y, 0.0) ** 2, axis=0) / np.maximum(known.sum(axis=0), 1))
+    deviation = np.maximum(output_noise, LEAST_NOISE * np.where(size > 0, size, 1.0))
     force = ratio * np.mean(np.asarray(u) ** 2, axis=0)
-    return free + np.asarray(
-        _corrections(model, u, jnp.asarray(np.where(known, residual, 0.0)), jnp.asarray(known), h, hold, force, deviation)
-    )
+    system, _, _ = _sampled_model(model, h, hold)
+    residual = np.where(known, residual, 0.0)
+    return free + np.asarray(_corrections(system, *map(jnp.asarray, (residual, known, force, deviation))))
+
+
+def signals_of(u, y, sampling_time, hold):
+    """What a method was given: a record, which brings everything along, or the arrays themselves.
+
+    **Arguments:** `u`: a `Record`, or inputs; `y`: outputs, None with a record; `sampling_time` [s], None
+    with a record; `hold`: None for the record's own, or "zero" without a record.
+
+    **Returns:** u, y, sampling time, hold.
+
+    **Raises:** `ValueError` when something is given twice or not at all.
+    """
+    if isinstance(u, Record):
+        if y is not None or sampling_time is not None:
+            raise ValueError("y and sampling_time come with the record; leave them out.")
+        return u.u, u.y, u.sampling_time, u.hold if hold is None else hold
+    if sampling_time is None:
+        raise ValueError("sampling_time is missing; give it in s, or give a Record.")
+    return u, y, sampling_time, "zero" if hold is None else hold
 
 
 def _white_part(residual: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, " outputs"]:
-    """Standard deviation of the white part of a residual: second differences of white noise have six times its
-    variance, those of anything slow next to none."""
+    """Standard deviation of the white part of a residual: second differences of white noise have six times
+    its variance, those of anything slow next to none."""
     second = np.diff(residual, n=2, axis=0) ** 2
     known = np.isfinite(second)
     return np.sqrt(np.where(known, second, 0.0).sum(axis=0) / (6 * np.maximum(known.sum(axis=0), 1)))
 
 
-def _input(model, u, sampling_time, hold) -> tuple[Array, float]:
+def _input(model, u, sampling_time, hold) -> tuple[Array, Array]:
     ready()
     check_hold(hold)
     u = as_channels("u", u)
@@ -235,13 +255,17 @@ def _input(model, u, sampling_time, hold) -> tuple[Array, float]:
         )
     if np.isnan(u).any():
         raise ValueError(f"u is NaN at sample {np.argwhere(np.isnan(u))[0][0]}; fill or cut the input.")
-    return jnp.asarray(u), as_seconds("sampling_time", sampling_time)
+    # As an array, since a plain number would be compiled in.
+    return jnp.asarray(u), jnp.asarray(as_seconds("sampling_time", sampling_time))
 
 
 def _output(model, y, u) -> Float[np.ndarray, "samples outputs"]:
     y = as_channels("y", y)
     if y.shape != (len(u), model.dofs):
-        raise ValueError(f"y has shape {y.shape}; give {(len(u), model.dofs)}, as many samples as u, one column per output.")
+        raise ValueError(
+            f"y has shape {y.shape}; give {(len(u), model.dofs)}, as many samples as u and a column per "
+            "output."
+        )
     return y
 
 

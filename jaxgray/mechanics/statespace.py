@@ -2,10 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-import jax.scipy.linalg as jsl
 from jaxtyping import Array, Float
 
 from ..numerics.lifting import respond
+from ..numerics.matrix_exponential import matrix_exponential
 from ..numerics.matrix_logarithm import matrix_logarithm
 
 HOLDS = ("zero", "linear")
@@ -67,7 +67,7 @@ def hold_matrices(
         block = jnp.zeros((states + inputs, states + inputs))
         block = block.at[:states, :states].set(A * sampling_time)
         block = block.at[:states, states:].set(B * sampling_time)
-        flow = jsl.expm(block)
+        flow = matrix_exponential(block)
         B0 = flow[:states, states:]
         return flow[:states, :states], B0, jnp.zeros_like(B0)
     size = states + 2 * inputs
@@ -75,7 +75,7 @@ def hold_matrices(
     block = block.at[:states, :states].set(A * sampling_time)
     block = block.at[:states, states : states + inputs].set(B * sampling_time)
     block = block.at[states : states + inputs, states + inputs :].set(jnp.eye(inputs))
-    flow = jsl.expm(block)
+    flow = matrix_exponential(block)
     B1 = flow[:states, states + inputs :]
     return flow[:states, :states], flow[:states, states : states + inputs] - B1, B1
 

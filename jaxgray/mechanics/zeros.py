@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
+import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float
 
@@ -14,8 +14,8 @@ RANK_TOLERANCE = 1e-10
 """Singular value, relative to matrices of unit size, below which a direction is taken to be blocked."""
 
 ORIGIN = 1e-6
-"""Magnitude, relative to the fastest motion, below which a zero counts as one at the origin (a measured velocity
-has one, an acceleration two), where rounding parts a double one."""
+"""Magnitude, relative to the fastest motion, below which a zero counts as one at the origin (a measured
+velocity has one, an acceleration two), where rounding parts a double one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,34 +30,45 @@ class Zeros:
 
     @property
     def antiresonance_hz(self) -> Float[np.ndarray, " antiresonances"]:
-        """|z|/2π [Hz] of the zeros that come as complex pairs, one per pair."""
-        return np.abs(self._pairs) / (2 * np.pi)
+        """|z|/2π [Hz] of the pairs of zeros that make a dip in the frequency response, one per pair."""
+        return np.abs(self.antiresonances) / (2 * np.pi)
 
     @property
     def damping_ratio(self) -> Float[np.ndarray, " antiresonances"]:
         """−Re z/|z| of each antiresonance; negative where the zero lies in the right half plane."""
-        return -self._pairs.real / np.abs(self._pairs)
+        return -self.antiresonances.real / np.abs(self.antiresonances)
 
     @property
-    def _pairs(self):
-        return self.values[self.values.imag > 1e-9 * np.abs(self.values)]
+    def antiresonances(self) -> Complex[np.ndarray, " antiresonances"]:
+        """The upper zero [rad/s] of each pair that makes a dip: |jω − z||jω − z̄| has a minimum over ω > 0
+        only when |Re z| < |Im z|; others are pairs of real zeros, or what rounding makes of them."""
+        return self.values[self.values.imag > np.abs(self.values.real)]
 
     def __repr__(self) -> str:
         lines = [f"Zeros from {', '.join(self.names[0])} to {', '.join(self.names[1])}: {len(self.values)}"]
         pairs = iter(zip(self.antiresonance_hz, self.damping_ratio))
         for z in self.values:
-            if z.imag > 1e-9 * abs(z):
+            if z.imag < 0:
+                continue
+            line = f"  {z.real:.4g} ± {z.imag:.5g}j rad/s" if z.imag else f"  {z.real:.4g} rad/s"
+            if z.imag > abs(z.real):
                 f, ratio = next(pairs)
-                lines.append(f"  {z.real:.4g} ± {z.imag:.5g}j rad/s  antiresonance {f:.5g} Hz, ratio {ratio:.3g}")
-            elif abs(z.imag) <= 1e-9 * abs(z):
-                lines.append(f"  {z.real:.4g} rad/s")
+                line += f"  antiresonance {f:.5g} Hz, damping ratio {ratio:.3g}"
+            lines.append(line)
         return "\n".join(lines)
 
 
-def model_time_scale(model: MechanicalModel) -> float:
-    """Time [s] in which the fastest motion of the model is of unit rate."""
+@eqx.filter_jit
+def _first_order(model):
     squared, V = undamped_modes(model.mass, model.stiffness)
-    return float(time_scale(squared, V.T @ model.damping @ V))
+    T = time_scale(squared, V.T @ model.damping @ V)
+    system = model.state_space(T)
+    return T, system.A, system.B, system.C, system.D
+
+
+def first_order(model: MechanicalModel) -> tuple[np.ndarray, ...]:
+    """T [s], in which the fastest motion is of unit rate, and A, B, C, D with time counted in it."""
+    return tuple(np.asarray(part) for part in _first_order(model))
 
 
 def transmission_zeros(model: MechanicalModel) -> Zeros:
@@ -70,21 +81,22 @@ def transmission_zeros(model: MechanicalModel) -> Zeros:
 
     **Returns:** `Zeros`.
 
-    **Raises:** `ValueError` when the mass is not positive definite, or when some combination of inputs never
-    shows, so that every number would be a zero.
+    **Raises:** `ValueError` when the mass is not positive definite, or when inputs do not show separately.
     """
     return _zeros(model, np.arange(model.inputs), np.arange(model.dofs))
 
 
 def zeros(model: MechanicalModel, *, input, output) -> Zeros:
-    """Zeros of the transfer function from one input to one output, with its antiresonances in Hz.
+    """Zeros from one input to one output, with the antiresonances in Hz.
+
+    Poles of modes that the input does not reach or the output does not see are among them.
 
     **Arguments:** `model`; `input`, `output`: name or position.
 
     **Returns:** `Zeros`.
 
-    **Raises:** `ValueError` for an unknown name, when the mass is not positive definite, or when the input does
-    not reach the output.
+    **Raises:** `ValueError` for an unknown name, when the mass is not positive definite, or when the input
+    does not reach the output.
     """
     i = _position("input", input, model.input_names)
     o = _position("output", output, model.output_names)
@@ -96,18 +108,19 @@ def _position(argument: str, given, names: tuple[str, ...]) -> int:
         return names.index(given)
     if isinstance(given, int | np.integer) and 0 <= given < len(names):
         return int(given)
-    raise ValueError(f"{argument}={given!r} is not known; give one of {', '.join(names)} or its position from 0.")
+    raise ValueError(
+        f"{argument}={given!r} is not known; give one of {', '.join(names)} or its position from 0."
+    )
 
 
 def _zeros(model: MechanicalModel, inputs, outputs) -> Zeros:
     ready()
     check_mass(model)
-    T = model_time_scale(model)
-    lower = jnp.linalg.cholesky(model.mass)
-    none = jnp.zeros_like(lower)
-    system = model.state_space(T).transformed(jnp.block([[lower.T, none], [none, lower.T]]))
-    A, B, C, D = (np.asarray(X) for X in (system.A, system.B[:, inputs], system.C[outputs], system.D[np.ix_(outputs, inputs)]))
-    # Units of inputs and outputs must not decide what counts as blocked.
+    T, A, B, C, D = first_order(model)
+    # Units of coordinates, inputs and outputs must not decide what counts as blocked.
+    W = np.kron(np.eye(2), np.linalg.cholesky(np.asarray(model.mass)).T)
+    A, C = np.linalg.solve(W.T, (W @ A).T).T, np.linalg.solve(W.T, C[outputs].T).T
+    B, D = W @ B[:, inputs], D[np.ix_(outputs, inputs)]
     row = np.linalg.norm(np.hstack([C, D]), axis=1)
     C, D = C / np.where(row > 0, row, 1.0)[:, None], D / np.where(row > 0, row, 1.0)[:, None]
     column = np.linalg.norm(np.vstack([B, D]), axis=0)
@@ -122,16 +135,36 @@ def _invariant_zeros(A, B, C, D, names) -> Complex[np.ndarray, " zeros"]:
     """Finite zeros, by taking out of the pencil what lies at infinity before its eigenvalues are computed.
 
     The generalised eigenvalues of the whole pencil will not do: the infinite ones of an input that reaches
-    its output through r integrations come in chains of r + 1 and are found at ε^(−1/(r+1)), among the finite.
+    its output through r integrations come in a chain of r + 1, which rounding can break up and bring down
+    among the finite.
 
     **Reference:** Emami-Naeini & Van Dooren (1982), *Computation of zeros of linear multivariable systems*.
     """
+    least = min(B.shape[1], C.shape[0])
     A, B, C, D = _output_zeroing(A, B, C, D)
     A, C, B, D = (X.T for X in _output_zeroing(A.T, C.T, B.T, D.T))
-    A, B, C, D = _output_zeroing(A, B, C, D)
-    if B.shape[1] > D.shape[0]:
+    if len(D) < least:
         raise ValueError(
-            f"inputs {', '.join(names[0])} do not show separately in outputs {', '.join(names[1])}: every number "
-            "would be a zero; choose fewer inputs, or an output that they reach."
+            f"inputs {', '.join(names[0])} do not show separately in outputs {', '.join(names[1])}, so that "
+            "every number would be a zero; choose fewer inputs, or outputs that they reach."
         )
-    return np.linalg.eigvals(A - B @ np.linalg.solve(D, C)) if len(A) else np.zeros(0, complex)
+    return np.linalg.eigvals(A - B @ np.linalg.solve(D, C)).astype(complex)
+
+
+def _output_zeroing(A, B, C, D):
+    """The motion that leaves no trace: states which the outputs see at once are taken out, with what keeps
+    them at zero as new outputs, until no output is free of the inputs (D has full row rank)."""
+    while len(D):
+        U, s, _ = np.linalg.svd(D)
+        rank = np.sum(s > RANK_TOLERANCE)
+        if rank == len(D):
+            break
+        seen, C, D = U[:, rank:].T @ C, U[:, :rank].T @ C, U[:, :rank].T @ D
+        _, s, Vt = np.linalg.svd(seen)
+        blocked = np.sum(s > RANK_TOLERANCE)
+        if not blocked:
+            break
+        gone, kept = Vt[:blocked], Vt[blocked:].T
+        C, D = np.vstack([C @ kept, gone @ A @ kept]), np.vstack([D, gone @ B])
+        A, B = kept.T @ A @ kept, kept.T @ B
+    return A, B, C, D

@@ -1,0 +1,240 @@
+"""The options, in groups that commands share: each is declared once, a command takes whole groups."""
+
+import dataclasses
+import inspect
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, get_type_hints
+
+import typer
+
+
+def takes_groups(command):
+    """Let a command have dataclasses of options as parameters; on the command line their fields stand alone.
+
+    **Arguments:** `command`: a function whose annotated parameters are such dataclasses.
+
+    **Returns:** a function with the fields of all of them as keywords, those without a default first.
+    """
+    groups = {name: kind for name, kind in get_type_hints(command).items() if name != "return"}
+    parameters = []
+    for kind in groups.values():
+        hints = get_type_hints(kind, include_extras=True)
+        for field in dataclasses.fields(kind):
+            default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+            parameters.append(
+                inspect.Parameter(
+                    field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[field.name]
+                )
+            )
+    parameters.sort(key=lambda parameter: parameter.default is not inspect.Parameter.empty)
+
+    def flat(**values):
+        made = {
+            name: kind(**{field.name: values[field.name] for field in dataclasses.fields(kind)})
+            for name, kind in groups.items()
+        }
+        command(**made)
+
+    flat.__name__, flat.__doc__ = command.__name__, command.__doc__
+    flat.__signature__ = inspect.Signature(parameters)
+    flat.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return flat
+
+
+def _option(*names: str, help: str, metavar: str | None = None):
+    return typer.Option(*names, help=help, metavar=metavar, show_default=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class File:
+    """What is read, and how."""
+
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, mat, parquet or hdf5.")
+    ]
+    time: Annotated[
+        str | None, _option("--time", metavar="COLUMN", help="Time column (default: t or time).")
+    ] = None
+    sampling_time: Annotated[
+        float | None, _option("--sampling-time", metavar="SECONDS", help="Instead of a time column.")
+    ] = None
+    scheduling: Annotated[
+        str | None, _option("--scheduling", metavar="COLUMN", help="A column the system may depend on.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channels:
+    """Which columns are what."""
+
+    inputs: Annotated[str, _option("--inputs", metavar="A,B", help="Columns of the inputs.")]
+    outputs: Annotated[str, _option("--outputs", metavar="C,D", help="Columns of the outputs.")]
+    hold: Annotated[str, _option("--hold", metavar="zero|linear", help="The input between samples.")] = "zero"
+    measured: Annotated[
+        str,
+        _option(
+            "--measured",
+            metavar="displacement|velocity|acceleration",
+            help="What the outputs are: one for all, or one per output, with commas.",
+        ),
+    ] = "displacement"
+    validation: Annotated[
+        Path | None, _option("--validation", metavar="FILE", help="A record that the fit does not see.")
+    ] = None
+    holdout: Annotated[
+        float | None, _option("--holdout", metavar="SHARE", help="Hold out the last part, such as 0.3.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excitation:
+    """How the system is driven, and the manner of the subspace start."""
+
+    excitation: Annotated[
+        str,
+        _option(
+            "--excitation",
+            metavar="force|base|base-displacement|base-acceleration",
+            help="What the inputs are; base: kind by the unit.",
+        ),
+    ] = "force"
+    relative: Annotated[
+        bool, _option("--relative", help="Outputs are measured relative to a moving base.")
+    ] = False
+    input_map: Annotated[
+        str | None,
+        _option(
+            "--input-map", metavar="U1:Y1,U2:Y1-Y2", help="Where inputs act (default: input j on output j)."
+        ),
+    ] = None
+    time_constant: Annotated[
+        str | None,
+        _option("--time-constant", metavar="SECONDS,…", help="Time constants of the filter to try."),
+    ] = None
+    block_rows: Annotated[
+        str | None, _option("--block-rows", metavar="I,…", help="Numbers of block rows to try.")
+    ] = None
+    weight: Annotated[
+        str,
+        _option("--weight", metavar="moesp|n4sid|cva|past-inputs", help="Weight of the projection."),
+    ] = "moesp"
+    map: Annotated[
+        str, _option("--map", metavar="exact|paper", help="The way from the filter back to time.")
+    ] = "exact"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitting:
+    """What is free in the model, and how it is refined."""
+
+    structure: Annotated[
+        str | None,
+        _option(
+            "--structure", metavar="diagonal-mass,chain,modal-damping", help="Any of these, with commas."
+        ),
+    ] = None
+    fix: Annotated[
+        str | None, _option("--fix", metavar="TEXT", help="Known entries: 'stiffness[0,1]=0,mass[0,0]=5'.")
+    ] = None
+    noise: Annotated[
+        str,
+        _option(
+            "--noise",
+            metavar="output-error|innovations",
+            help="Where noise enters: at the outputs, or at the forces too.",
+        ),
+    ] = "output-error"
+    no_refine: Annotated[bool, _option("--no-refine", help="Stop at the starting model.")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Talk:
+    """How much is said."""
+
+    quiet: Annotated[bool, _option("--quiet", help="Print nothing but errors.")] = False
+    verbose: Annotated[bool, _option("--verbose", help="Print every stage, and the trace of an error.")] = (
+        False
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """Where results go."""
+
+    json: Annotated[
+        str | None, _option("--json", metavar="OUT", help="Write the result as JSON; - for the screen.")
+    ] = None
+    figures: Annotated[Path | None, _option("--figures", metavar="DIR", help="Draw the figures, as PNG.")] = (
+        None
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spacing:
+    """Which time constants a sweep takes by itself."""
+
+    spacing: Annotated[
+        str,
+        _option(
+            "--spacing", metavar="logarithmic|linear", help="Of the time constants, where none are given."
+        ),
+    ] = "logarithmic"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulating:
+    """What `simulate` takes besides the file."""
+
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL.json", help="A model, or a result of identify or diagnose.")
+    ]
+    inputs: Annotated[
+        str | None, _option("--inputs", metavar="A,B", help="Columns of the inputs (default: the model's).")
+    ] = None
+    outputs: Annotated[
+        str | None, _option("--outputs", metavar="C,D", help="Columns of the outputs (default: the model's).")
+    ] = None
+    hold: Annotated[
+        str | None,
+        _option("--hold", metavar="zero|linear", help="The input between samples (default: the model's)."),
+    ] = None
+    out: Annotated[
+        Path | None, _option("--out", metavar="CSV", help="Write time, measured, simulated and residual.")
+    ] = None
+    json: Annotated[
+        str | None, _option("--json", metavar="OUT", help="Write fits as JSON; - for the screen.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demonstrating:
+    """What `demo` takes."""
+
+    out: Annotated[
+        Path | None, _option("--out", metavar="DIR", help="Write the records, the truth and the result.")
+    ] = None
+    seed: Annotated[int, _option("--seed", metavar="N", help="Of the inputs and the noise.")] = 1
+
+
+def words(text: str | None) -> list[str]:
+    """The parts of a list with commas; commas in brackets belong to a name, as in `u[0,1]`."""
+    parts, depth, last = [], 0, 0
+    for k, letter in enumerate(text or ""):
+        depth += (letter in "[(") - (letter in "])")
+        if letter == "," and depth <= 0:
+            parts.append(text[last:k])
+            last = k + 1
+    parts.append((text or "")[last:])
+    return [part.strip() for part in parts if part.strip()]
+
+
+def numbers(option: str, text: str | None, kind=float) -> list | None:
+    """Numbers with commas, None for none; a `ValueError` names the option."""
+    if text is None:
+        return None
+    try:
+        return [kind(word) for word in words(text)] or None
+    except ValueError:
+        what = "whole numbers" if kind is int else "numbers"
+        raise ValueError(f"{option}={text!r} is not understood; give {what} with commas between.") from None

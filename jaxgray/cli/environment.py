@@ -1,0 +1,52 @@
+"""What must be set before jax computes: 64-bit floats, threads, a cache of what was compiled before."""
+
+import hashlib
+import os
+import platform
+from pathlib import Path
+
+
+def prepare(*, verbose: bool = False) -> None:
+    """Turn on 64-bit floats, enough threads, and the compilation cache in the user's cache directory.
+
+    **Arguments:** `verbose`: leave the messages of the compiler on; default off.
+    """
+    if not verbose:
+        # The CPU backend calls it an error that cached code names features which are hints, not instructions.
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    import jax
+
+    from ..numerics.runtime import ready
+
+    jax.config.update("jax_enable_x64", True)
+    ready()
+    if jax.config.jax_compilation_cache_dir is None:
+        folder = cache_folder()
+        if folder is not None:
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+            # Most of what is compiled is small, and together it takes as long as the large parts.
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def cache_folder() -> Path | None:
+    """`jaxgray/xla` in the user's cache directory, one folder a kind of processor; None where not writable.
+
+    Compiled code holds the instructions of the processor it was made on, and a home directory may be shared.
+    """
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    folder = Path(base) / "jaxgray" / "xla" / _processor()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def _processor() -> str:
+    features = platform.machine() + platform.processor()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            features += next((line for line in file if line.startswith(("flags", "Features"))), "")
+    except OSError:
+        pass
+    return hashlib.sha256(features.encode()).hexdigest()[:12]

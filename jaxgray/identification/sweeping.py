@@ -1,0 +1,285 @@
+"""The table over time constant τ × block rows i: what the subspace start alone makes of every choice."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.progress import AbstractProgress, Silent
+from ..numerics.runtime import ready
+from ..records import Record, check_compatible
+from .filter_bank import pole
+from .options import drive_of, pick
+from .physical import Scaling
+from .prediction import Setting
+from .preparation import Signals, prepare, scaling_of
+from .projection import WEIGHTS
+from .realization import MAPS
+from .start import filled, model_run, physical_model, total_deviation
+from .sweep import candidates, default_time_constants, record_factors, usable_block_rows
+
+SPACINGS = ("logarithmic", "linear")
+DEFAULT_COUNT = 10
+GROWTH = 30.0
+"""Logarithm of what a realised model may grow by over the record before it counts as unstable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """The subspace start for every time constant τ × block rows i, judged by free-run simulation.
+
+    `time_constants` [s], `block_rows`: the axes; `fit_percent` and, with held-out records,
+    `validation_fit_percent`: τ × i × outputs, NaN where a choice gives no stable model; `mass`, `damping`,
+    `stiffness`: τ × i × dofs × dofs in the record's units, NaN likewise; `unstable`: how many choices realise
+    a model that grows without bound; `failed`: how many gave no model at all; `output_names`.
+    """
+
+    time_constants: Float[np.ndarray, " time_constants"]
+    block_rows: Int[np.ndarray, " choices"]
+    fit_percent: Float[np.ndarray, "time_constants choices outputs"]
+    validation_fit_percent: Float[np.ndarray, "time_constants choices outputs"] | None
+    mass: Float[np.ndarray, "time_constants choices dofs dofs"]
+    damping: Float[np.ndarray, "time_constants choices dofs dofs"]
+    stiffness: Float[np.ndarray, "time_constants choices dofs dofs"]
+    unstable: int
+    failed: int
+    output_names: tuple[str, ...]
+
+    @property
+    def judged_by(self) -> Float[np.ndarray, "time_constants choices outputs"]:
+        """The fit that decides: held out where there is such a record."""
+        return self.fit_percent if self.validation_fit_percent is None else self.validation_fit_percent
+
+    @property
+    def best_index(self) -> tuple[int, int]:
+        """Place (τ, i) of the best choice: least sum over outputs of ln(100 − fit)."""
+        left = np.sum(np.log(np.maximum(100.0 - self.judged_by, 1e-12)), axis=2)
+        row, column = np.unravel_index(np.nanargmin(left), left.shape)
+        return int(row), int(column)
+
+    @property
+    def best(self) -> dict:
+        """The best choice: `time_constant`, `block_rows`, the fits, and `mass`, `damping`, `stiffness`."""
+        k = self.best_index
+        return {
+            "time_constant": float(self.time_constants[k[0]]),
+            "block_rows": int(self.block_rows[k[1]]),
+            "fit_percent": self.fit_percent[k],
+            "validation_fit_percent": None
+            if self.validation_fit_percent is None
+            else self.validation_fit_percent[k],
+            "mass": self.mass[k],
+            "damping": self.damping[k],
+            "stiffness": self.stiffness[k],
+        }
+
+    def __repr__(self) -> str:
+        where = "estimation" if self.validation_fit_percent is None else "held-out"
+        worst = np.min(self.judged_by, axis=2)
+        head = ["τ [s]", *(f"i = {i}" for i in self.block_rows)]
+        rows = [
+            [f"{tau:.4g}", *("–" if np.isnan(v) else f"{v:.2f}" for v in line)]
+            for tau, line in zip(self.time_constants, worst)
+        ]
+        row, column = self.best_index
+        rows[row][column + 1] += "*"
+        width = [max(len(line[k]) for line in [head, *rows]) for k in range(len(head))]
+        lines = ["  ".join(text.rjust(w) for text, w in zip(line, width)) for line in [head, *rows]]
+        best = self.best
+        return "\n".join(
+            [
+                f"Sweep: fit on the {where} record in %, worst output of {', '.join(self.output_names)}",
+                *("  " + line for line in lines),
+                f"  best (*): τ = {best['time_constant']:.4g} s, i = {best['block_rows']}; {self.missing}",
+            ]
+        )
+
+    @property
+    def missing(self) -> str:
+        """How many choices gave no usable model, in words."""
+        cells = len(self.time_constants) * len(self.block_rows)
+        return f"{self.unstable} of {cells} choices unstable, {self.failed} without a model"
+
+
+def sweep(
+    record: Record | list[Record],
+    time_constants=None,
+    block_rows=None,
+    *,
+    validation: Record | list[Record] | None = None,
+    spacing: str = "logarithmic",
+    weight="moesp",
+    map="exact",
+    excitation: str = "force",
+    input_map=None,
+    relative: bool = False,
+    progress: AbstractProgress | None = None,
+) -> Sweep:
+    """Every time constant × block rows from one factor per time constant, without refinement.
+
+    **Arguments:**
+
+    - `record`: one record, or several of the same system.
+    - `time_constants`: τ [s], one or several; default ten from the record.
+    - `block_rows`: i, one or several; default 4, 6, 8, 10 as the record allows.
+    - `validation`: records that are simulated but not used; default none.
+    - `spacing`: of the default time constants, "logarithmic" (default) or "linear" (the paper's search).
+    - `weight`: "moesp" (default), "n4sid", "cva", "past-inputs", or a weight object.
+    - `map`: "exact" (default) or "paper", from the λ-operator to continuous time.
+    - `excitation`, `input_map`, `relative`: as for `identify`.
+    - `progress`: told of every stage; silent by default.
+
+    **Returns:** a `Sweep`.
+
+    **Raises:** `ValueError` for arguments or data that cannot serve; `ComputationError` when no choice gives
+    a stable model.
+
+    **Reference:** Olofsson et al., section on the choice of λ-parameters.
+    """
+    ready()
+    progress = Silent() if progress is None else progress
+    records = [record] if isinstance(record, Record) else list(record)
+    held_out = [validation] if isinstance(validation, Record) else list(validation or [])
+    check_compatible(records + held_out)
+    weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
+    drive = drive_of(records[0], excitation, input_map, relative)
+    longest = max(records, key=lambda r: r.samples)
+    taus = _time_constants(time_constants, spacing, longest)
+    rows = _block_rows(block_rows, longest)
+
+    progress.stage("preparing")
+    scaling = scaling_of(records)
+    setting = Setting(
+        drive.scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time),
+        records[0].measured,
+        records[0].hold,
+    )
+    signals = [prepare(r, scaling) for r in records]
+    unseen = [prepare(r, scaling) for r in held_out]
+    complete = filled(records, scaling, None) if any(r.has_missing for r in records) else signals
+
+    def table(data: list[Signals]):
+        progress.stage("compressing")
+        poles = pole(jnp.asarray(taus), scaling.sampling_time)
+        factor_grid, householder = record_factors(data, poles, max(rows))
+        progress.stage("realising")
+        found = candidates(
+            factor_grid,
+            poles,
+            jnp.asarray(rows, float),
+            None,
+            inputs=longest.inputs,
+            padded=max(rows),
+            weight=weight,
+            map=map,
+            measured=setting.measured,
+            hold=setting.hold,
+            householder=householder,
+        )
+        return _cells(found, (len(taus), len(rows)), setting, signals, progress)
+
+    models, deviation, failed = table(complete)
+    if complete is not signals and np.isfinite(deviation).any():
+        # Gaps filled by the best model's own run leave less of the interpolation in the second table.
+        best = models[np.unravel_index(np.nanargmin(np.sum(np.log(deviation), axis=2)), failed.shape)]
+        runs = [model_run(best, setting, s)[0] for s in complete]
+        models, deviation, failed = table(filled(records, scaling, runs))
+    if not np.isfinite(deviation).any():
+        raise ComputationError(RESULTS.unstable_start, stage="sweep")
+
+    progress.stage("simulating")
+    apart = np.full_like(deviation, np.nan)
+    for k, matrices in models.items():
+        if unseen and np.all(np.isfinite(deviation[k])):
+            apart[k] = total_deviation(matrices, setting, unseen)
+    return Sweep(
+        taus,
+        np.array(rows),
+        _fit_percent(deviation, records, scaling),
+        _fit_percent(apart, held_out, scaling) if unseen else None,
+        *_physical(models, deviation, scaling),
+        int(np.sum(~np.isfinite(deviation).all(axis=2) & ~failed)),
+        int(np.sum(failed)),
+        records[0].output_names,
+    )
+
+
+def _time_constants(given, spacing: str, record: Record) -> Float[np.ndarray, " time_constants"]:
+    if spacing not in SPACINGS:
+        raise ValueError(f"spacing={spacing!r} is not known; choose from {', '.join(SPACINGS)}.")
+    if given is None:
+        grid = default_time_constants(record, DEFAULT_COUNT)
+        return grid if spacing == "logarithmic" else np.linspace(grid[0], grid[-1], DEFAULT_COUNT)
+    grid = np.unique(np.atleast_1d(np.asarray(given, dtype=float)))
+    if grid.size == 0 or not np.all(np.isfinite(grid)) or np.any(grid <= 0):
+        raise ValueError(f"time_constants={given} must be positive; give one number or several, in s.")
+    return grid
+
+
+def _block_rows(given, record: Record) -> tuple[int, ...]:
+    rows = np.unique(np.atleast_1d(np.asarray(usable_block_rows(record) if given is None else given)))
+    if rows.size == 0 or np.any(rows != np.round(rows)) or np.any(rows < 3):
+        raise ValueError(f"block_rows={given} must be whole numbers of at least 3.")
+    most = int(np.max(rows))
+    columns = 2 * most * (record.inputs + record.outputs + 1)
+    if record.samples <= columns:
+        raise ComputationError(
+            RESULTS.too_short,
+            stage="sweep",
+            detail=f"{record.samples} samples for {most} block rows, which need more than {columns}",
+        )
+    return tuple(int(i) for i in rows)
+
+
+def _cells(
+    found, shape: tuple[int, int], setting: Setting, signals: list[Signals], progress: AbstractProgress
+) -> tuple[
+    dict, Float[np.ndarray, "time_constants choices outputs"], Bool[np.ndarray, "time_constants choices"]
+]:
+    """Physical matrices of every choice, the free-run deviation, and where there is no model at all."""
+    models: dict = {}
+    longest = max(s.samples for s in signals)
+    deviation = np.full((*shape, len(setting.measured)), np.nan)
+    failed = np.zeros(shape, bool)
+    for count, k in enumerate(np.ndindex(shape)):
+        progress.stage("simulating", fraction=count / failed.size)
+        choice = jax.tree_util.tree_map(lambda leaf, k=k: leaf[k], found)
+        finite = all(
+            bool(jnp.all(jnp.isfinite(part)))
+            for part in (choice.realization.A21, choice.realization.A22, choice.fit.factor, choice.fit.target)
+        )
+        if not finite:
+            failed[k] = True
+            continue
+        if np.max(np.linalg.eigvals(np.asarray(choice.realization.A)).real) * longest > GROWTH:
+            continue
+        try:
+            models[k] = physical_model(choice.realization, choice.fit, setting, None)
+        except ComputationError:
+            failed[k] = True
+            continue
+        reached = total_deviation(models[k], setting, signals)
+        if np.all(np.isfinite(reached)):
+            deviation[k] = reached
+    return models, deviation, failed
+
+
+def _physical(models: dict, deviation: np.ndarray, scaling: Scaling) -> list[np.ndarray]:
+    """Mass, damping and stiffness of every stable choice in the record's units."""
+    dofs = deviation.shape[2]
+    tables = [np.full((*deviation.shape[:2], dofs, dofs), np.nan) for _ in range(3)]
+    for k, matrices in models.items():
+        if np.all(np.isfinite(deviation[k])):
+            for table, matrix in zip(tables, scaling.matrices_out(*matrices)):
+                table[k] = matrix
+    return tables
+
+
+def _fit_percent(deviation: np.ndarray, records: list[Record], scaling: Scaling) -> np.ndarray:
+    """100(1 − ‖y−ŷ‖/‖y−ȳ‖) from mean square residuals over all records."""
+    squares = [np.nansum((r.y - np.nanmean(r.y, axis=0)) ** 2, axis=0) for r in records]
+    power = np.sum(squares, axis=0) / np.sum([np.sum(~r.missing, axis=0) for r in records], axis=0)
+    return 100.0 * (1.0 - np.sqrt(deviation / power) * np.asarray(scaling.outputs))

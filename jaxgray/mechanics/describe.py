@@ -1,0 +1,79 @@
+"""A mechanical model on one screen."""
+
+import jax
+import numpy as np
+
+from .drives import ORDER, Force
+
+_RATES = {1: ("/s",), 2: ("/s^2", "/s²", "/s2")}
+_TIMES = {0: "", 1: " s", 2: " s^2"}
+
+
+def matrix_units(model) -> dict[str, str]:
+    """Units of mass, damping and stiffness, composed from those of forces and coordinates.
+
+    **Arguments:** `model`, a `MechanicalModel`.
+
+    **Returns:** a unit for each of the three; empty where channels have none or differ, and for an excited
+    base, which leaves the scale of the forces open.
+    """
+    lengths = {_displacement_unit(unit, kind) for unit, kind in zip(model.output_units, model.measured)}
+    forces = set(model.input_units)
+    if not isinstance(model.drive, Force) or len(lengths) != 1 or len(forces) != 1 or "" in lengths | forces:
+        return dict.fromkeys(("mass", "damping", "stiffness"), "")
+    force, length = forces.pop(), lengths.pop()
+    length = f"({length})" if set(length) & set(" */") else length
+    return {
+        name: f"{force}{_TIMES[order]}/{length}"
+        for name, order in (("mass", 2), ("damping", 1), ("stiffness", 0))
+    }
+
+
+def _displacement_unit(unit: str, kind: str) -> str:
+    """Unit of the displacement that goes with a measured quantity: mm for mm/s."""
+    if not unit or not ORDER[kind]:
+        return unit
+    for rate in _RATES[ORDER[kind]]:
+        if unit.endswith(rate):
+            return unit.removesuffix(rate)
+    return unit + _TIMES[ORDER[kind]]
+
+
+def describe(model) -> str:
+    """Channels with units, how the input enters, and the three matrices.
+
+    **Arguments:** `model`, a `MechanicalModel`.
+
+    **Returns:** the text, not ending in a newline.
+    """
+
+    def channels(names, units, *more):
+        return ", ".join(
+            name + (f" [{unit}]" if unit else "") + "".join(f" {text}" for text in rest)
+            for name, unit, *rest in zip(names, units, *more)
+        )
+
+    lines = [
+        f"MechanicalModel: {model.dofs} coordinates, {model.inputs} inputs",
+        f"  inputs   {channels(model.input_names, model.input_units)}",
+        f"  outputs  {channels(model.output_names, model.output_units, model.measured)}",
+    ]
+    drive = model.drive
+    if isinstance(drive, Force):
+        lines += _matrix("force map", "", drive.input_map)
+    else:
+        motion = "relative to the base" if drive.relative else "absolute"
+        lines += _matrix(f"{type(drive).__name__}, outputs {motion}; direction", "", drive.direction)
+    for name, unit in matrix_units(model).items():
+        lines += _matrix(name, unit, getattr(model, name))
+    if model.effects:
+        lines.append(f"  effects  {', '.join(type(effect).__name__ for effect in model.effects)}")
+    return "\n".join(lines)
+
+
+def _matrix(name: str, unit: str, X) -> list[str]:
+    head = f"  {name}" + (f" [{unit}]" if unit else "")
+    if isinstance(X, jax.core.Tracer) or not hasattr(X, "shape"):
+        return [f"{head}: {X}"]
+    text = np.array2string(np.asarray(X), precision=6, threshold=200, max_line_width=100)
+    return [head, *("    " + line for line in text.splitlines())]

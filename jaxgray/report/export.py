@@ -1,0 +1,236 @@
+"""Models and results as files: strict JSON, and NPZ for exact arrays; never pickle."""
+
+import io
+import json
+import math
+import os
+import uuid
+import zipfile
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..mechanics.drives import BaseAcceleration, BaseDisplacement, Force
+from ..mechanics.model import MechanicalModel
+
+SCHEMA = "jaxgray/model/1"
+
+MATRICES = ("mass", "damping", "stiffness")
+TEXTS = ("measured", "input_names", "output_names", "input_units", "output_units")
+BASES = {"displacement": BaseDisplacement, "acceleration": BaseAcceleration}
+
+SYMMETRY = 1e-8
+"""Largest difference across the diagonal, relative to the largest entry, that counts as rounding."""
+
+
+def save(result_or_model, path) -> None:
+    """Write a model, or the model of a result, to a file; the file is whole or not there.
+
+    **Arguments:** `result_or_model`: a `MechanicalModel`, or anything that has one as `.model`; `path`:
+    ending in .json or .npz.
+
+    **Raises:** `ValueError` for another ending, or when the model has effects, which this format does not
+    hold.
+    """
+    model = result_or_model if isinstance(result_or_model, MechanicalModel) else result_or_model.model
+    if model.effects:
+        raise ValueError(
+            f"model has {len(model.effects)} effects, which {SCHEMA} does not hold; save the diagnosis, or "
+            "the model without them."
+        )
+    document = {"schema": SCHEMA, **model_document(model)}
+    kind = _kind(path)
+    if kind == ".json":
+        write_json(document, path)
+        return
+    if "base" in document:
+        base = document.pop("base")
+        document |= {f"base_{key}": value for key, value in base.items()}
+    buffer = io.BytesIO()
+    np.savez(buffer, **{key: np.asarray(value) for key, value in document.items()})
+    _write_whole(buffer.getvalue(), path)
+
+
+def model_document(model: MechanicalModel) -> dict:
+    """A model as plain lists, numbers and texts, without the schema: the "model" of every result's JSON."""
+    document = {name: np.asarray(getattr(model, name)).tolist() for name in MATRICES}
+    drive = model.drive
+    if isinstance(drive, Force):
+        document["input_map"] = np.asarray(drive.input_map).tolist()
+    else:
+        kind = next(kind for kind, base in BASES.items() if isinstance(drive, base))
+        direction = np.asarray(drive.direction).tolist()
+        document["base"] = {"kind": kind, "direction": direction, "relative": drive.relative}
+    return document | {name: list(getattr(model, name)) for name in TEXTS}
+
+
+def load(path) -> MechanicalModel:
+    """Read a model.
+
+    **Arguments:** `path`: a file that `save` wrote, or JSON with at least "mass", "damping" and "stiffness"
+    (and "input_map" or "base"), at the top or under "model", or under "extended" or "baseline" and "model" as
+    a diagnosis has them (extended before baseline).
+
+    **Returns:** a `MechanicalModel`.
+
+    **Raises:** `ValueError` when the file is missing or unreadable, or a key or matrix is missing or wrong.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file; give the path of a model file.")
+    document = _read_npz(path) if _kind(path) == ".npz" else _model_part(_read_json(path), path)
+    try:
+        return _model(document)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def write_json(obj, path) -> None:
+    """Write strict JSON; the file is whole or not there.
+
+    **Arguments:** `obj`: dictionaries, lists, texts, numbers, NumPy or JAX arrays and scalars; NaN and
+    infinite numbers become null; `path`.
+
+    **Raises:** `ValueError` for something that JSON has no word for.
+    """
+    text = json.dumps(_plain(obj, ""), allow_nan=False, ensure_ascii=False, indent=1)
+    _write_whole((text + "\n").encode(), path)
+
+
+def _plain(obj, place: str):
+    if obj is None or isinstance(obj, bool | str):
+        return obj
+    if isinstance(obj, dict):
+        return {str(key): _plain(value, f"{place}.{key}") for key, value in obj.items()}
+    if isinstance(obj, list | tuple):
+        return [_plain(value, f"{place}[{k}]") for k, value in enumerate(obj)]
+    if isinstance(obj, int):
+        return obj
+    if isinstance(obj, float):
+        return float(obj) if math.isfinite(obj) else None
+    if isinstance(obj, os.PathLike):
+        return os.fspath(obj)
+    if hasattr(obj, "__array__"):
+        array = np.asarray(obj)
+        if array.dtype.kind in "biufU":
+            return _plain(array.tolist(), place)
+    raise ValueError(
+        f"{place.lstrip('.') or 'obj'} is a {type(obj).__name__}; give numbers, texts, lists, arrays."
+    )
+
+
+def _write_whole(content: bytes, path) -> None:
+    """Through a file beside it, so that a reader never sees half of it."""
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: the folder {path.parent} is not there; create it first.")
+    beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        beside.write_bytes(content)
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _kind(path) -> str:
+    kind = Path(path).suffix.lower()
+    if kind not in (".json", ".npz"):
+        raise ValueError(f"{path}: the ending {kind!r} is not known; give .json or .npz.")
+    return kind
+
+
+def _read_json(path: Path):
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path}: this is not JSON ({error}).") from None
+
+
+def _model_part(document, path: Path) -> dict:
+    """Where the model stands in one of our files, or in one written by hand."""
+    if not isinstance(document, dict):
+        raise ValueError(f"{path}: the top is a {type(document).__name__}; give an object with {_KEYS}.")
+    parts = [document, document.get("model")]
+    for name in ("extended", "baseline"):
+        part = document.get(name)
+        parts.append(part.get("model") if isinstance(part, dict) else None)
+    for part in parts:
+        if isinstance(part, dict) and any(name in part for name in MATRICES):
+            return part
+    raise ValueError(f"{path}: no model in it; give {_KEYS}, at the top or under 'model'.")
+
+
+_KEYS = "'mass', 'damping' and 'stiffness'"
+
+
+def _read_npz(path: Path) -> dict:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            document = {key: file[key].tolist() for key in file.files}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: this is not an NPZ file of arrays ({error}).") from None
+    base = {
+        key: document.pop(f"base_{key}")
+        for key in ("kind", "direction", "relative")
+        if f"base_{key}" in document
+    }
+    return document | ({"base": base} if base else {})
+
+
+def _model(document: dict) -> MechanicalModel:
+    missing = [name for name in MATRICES if document.get(name) is None]
+    if missing:
+        raise ValueError(f"{', '.join(missing)} missing; give {_KEYS}.")
+    M, D, K = (_symmetric(name, document[name]) for name in MATRICES)
+    least = np.linalg.eigvalsh(M)[0]
+    if not least > 0:
+        raise ValueError(f"mass has the eigenvalue {least:.3g}; give a positive definite matrix.")
+    drive = None
+    if document.get("base") is not None:
+        drive = _base(document["base"])
+    elif document.get("input_map") is not None:
+        drive = Force(jnp.asarray(_matrix("input_map", document["input_map"])))
+    texts = {name: document[name] for name in TEXTS if document.get(name) is not None}
+    for name, value in texts.items():
+        words = isinstance(value, list) and all(isinstance(word, str) for word in value)
+        if not words and not (name == "measured" and isinstance(value, str)):
+            raise ValueError(f"{name} is {value!r}; give a list of texts.")
+    return MechanicalModel(M, D, K, drive=drive, **texts)
+
+
+def _base(base):
+    if not isinstance(base, dict) or base.get("kind") not in BASES or base.get("direction") is None:
+        raise ValueError(
+            f"base is {base!r}; give an object with 'kind' (displacement or acceleration), 'direction' and "
+            "'relative'."
+        )
+    direction = jnp.asarray(_matrix("base direction", base["direction"]))
+    return BASES[base["kind"]](direction, bool(base.get("relative", False)))
+
+
+def _matrix(name: str, value) -> np.ndarray:
+    try:
+        X = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is not a matrix of numbers; give a list of rows of equal length.") from None
+    if X.ndim != 2 or X.size == 0:
+        raise ValueError(f"{name} has shape {X.shape}; give a list of rows.")
+    if not np.isfinite(X).all():
+        row, column = np.argwhere(~np.isfinite(X))[0]
+        raise ValueError(f"{name}[{row},{column}] is {X[row, column]}; give finite numbers.")
+    return X
+
+
+def _symmetric(name: str, value) -> np.ndarray:
+    X = _matrix(name, value)
+    if X.shape[0] != X.shape[1]:
+        raise ValueError(f"{name} has shape {X.shape}; give a square matrix, one row per coordinate.")
+    difference = np.abs(X - X.T)
+    if np.max(difference) > SYMMETRY * np.max(np.abs(X)):
+        row, column = np.unravel_index(np.argmax(difference), X.shape)
+        raise ValueError(
+            f"{name} is not symmetric: [{row},{column}] is {X[row, column]:g}, [{column},{row}] is "
+            f"{X[column, row]:g}; give a symmetric matrix."
+        )
+    return X

@@ -1,0 +1,169 @@
+"""Results as plain dictionaries: what goes into the JSON files and onto the terminal."""
+
+import numpy as np
+
+from ..identification.result import Identification
+from ..identification.sweeping import Sweep
+from ..identification.validation import Fit
+from ..mechanics.modal_uncertainty import modal_uncertainty
+from ..mechanics.model import MechanicalModel
+from ..records import Record
+from .export import model_document
+from .units import matrix_units
+
+IDENTIFICATION = "jaxgray/identification/1"
+SWEEP = "jaxgray/sweep/1"
+SIMULATION = "jaxgray/simulation/1"
+
+
+def identification_document(result: Identification, warnings: tuple[str, ...] = ()) -> dict:
+    """An identification as the JSON schema `jaxgray/identification/1`.
+
+    **Arguments:** `result`; `warnings`: from reading the files, put before those of the result.
+
+    **Returns:** dictionaries, lists, numbers and texts; None or NaN (null in the file) where something is
+    not known, as all uncertainty is without refinement.
+    """
+    model = result.model
+    spread = result.uncertainty
+    tests, found = result.residual_test, result.structure_test
+    return {
+        "schema": IDENTIFICATION,
+        "model": model_document(model)
+        | {
+            "standard_errors": None
+            if spread is None
+            else {name: errors.tolist() for name, errors in result.standard_errors.items()},
+            "units": matrix_units(model),
+        },
+        "fit_percent": result.fit_percent,
+        "rmse": result.rmse,
+        "noise_floor": per_name(model.output_names, result.noise_floor),
+        "start": {
+            "method": result.start.method,
+            "time_constant": result.start.time_constant,
+            "block_rows": result.start.block_rows,
+            "singular_values": result.start.singular_values,
+        },
+        "refined": result.refinement is not None,
+        "modes": modes_document(result),
+        "zeros_hz": antiresonances(model),
+        "covariance": None
+        if spread is None
+        else {"names": list(spread.names), "matrix": spread.covariance.tolist()},
+        "condition_number": None if spread is None else spread.condition_number,
+        "at_edge": None if spread is None else list(spread.at_edge),
+        "weak_directions": None if spread is None else list(spread.weak_directions),
+        "unmoved": None if spread is None else list(spread.unmoved),
+        "residual_test": {
+            "white": tests.white,
+            "input_explained": tests.input_explained,
+            "feedback": tests.feedback,
+        },
+        "structure_test": None
+        if found is None
+        else {"fits": found.fits, "p_value": found.p_value, "explained_percent": found.explained_percent},
+        "aic": result.aic,
+        "bic": result.bic,
+        "noise": result.noise,
+        "records": {
+            "estimation": [record_document(record) for record in result.records],
+            "validation": [record_document(record) for record in result.validation_records],
+        },
+        "warnings": list(dict.fromkeys((*warnings, *result.warnings))),
+    }
+
+
+def modes_document(result: Identification) -> list[dict]:
+    """Every mode with its standard errors; None without refinement."""
+    modes = result.model.modes()
+    errors = None if result.uncertainty is None else modal_uncertainty(result.model, result.covariance)
+    return [
+        {
+            "frequency_hz": float(modes.natural_frequency_hz[k]),
+            "frequency_standard_error": None if errors is None else float(errors.natural_frequency_hz[k]),
+            "damping_ratio": float(modes.damping_ratio[k]),
+            "damping_ratio_standard_error": None if errors is None else float(errors.damping_ratio[k]),
+            "shape": modes.mode_shapes[:, k].tolist(),
+        }
+        for k in range(len(modes.natural_frequency_hz))
+    ]
+
+
+def antiresonances(model: MechanicalModel) -> dict[str, list[float]]:
+    """Antiresonances in Hz of every input and output, as `u1->y1`; none where the input never arrives."""
+    found = {}
+    for source in model.input_names:
+        for place in model.output_names:
+            try:
+                values = model.zeros(input=source, output=place).antiresonance_hz.tolist()
+            except ValueError:
+                values = []
+            found[f"{source}->{place}"] = values
+    return found
+
+
+def record_document(record: Record) -> dict:
+    """What a record was like, without its samples."""
+    return {
+        "samples": record.samples,
+        "sampling_time": record.sampling_time,
+        "hold": record.hold,
+        "missing": per_name(record.output_names, record.missing.sum(axis=0)),
+    }
+
+
+def per_name(names: tuple[str, ...], values) -> dict[str, float]:
+    """Numbers by the names of their channels."""
+    return dict(zip(names, np.asarray(values).tolist()))
+
+
+def sweep_document(result: Sweep, warnings: tuple[str, ...] = ()) -> dict:
+    """A sweep as the JSON schema `jaxgray/sweep/1`: one cell per choice, in rows of equal τ.
+
+    **Arguments:** `result`; `warnings`: from reading the files.
+
+    **Returns:** dictionaries, lists, numbers and texts; NaN (null in the file) where a choice gave no model.
+    """
+    held_out = result.validation_fit_percent
+    best = result.best_index
+
+    def cell(k: tuple[int, int]) -> dict:
+        return {
+            "time_constant": float(result.time_constants[k[0]]),
+            "block_rows": int(result.block_rows[k[1]]),
+            "fit_percent": {"estimation": per_name(result.output_names, result.fit_percent[k])}
+            | ({} if held_out is None else {"validation": per_name(result.output_names, held_out[k])}),
+            "mass": result.mass[k].tolist(),
+            "damping": result.damping[k].tolist(),
+            "stiffness": result.stiffness[k].tolist(),
+        }
+
+    shape = len(result.time_constants), len(result.block_rows)
+    return {
+        "schema": SWEEP,
+        "time_constants": result.time_constants.tolist(),
+        "block_rows": result.block_rows.tolist(),
+        "best": cell(best),
+        "unstable": result.unstable,
+        "failed": result.failed,
+        "cells": [[cell((row, column)) for column in range(shape[1])] for row in range(shape[0])],
+        "warnings": list(warnings),
+    }
+
+
+def simulation_document(record: Record, fit: Fit, warnings: tuple[str, ...] = ()) -> dict:
+    """The free run of a model against a record as the JSON schema `jaxgray/simulation/1`.
+
+    **Arguments:** `record`; `fit`: of the free run; `warnings`: from reading the file.
+
+    **Returns:** dictionaries, lists, numbers and texts.
+    """
+    return {
+        "schema": SIMULATION,
+        "fit_percent": per_name(record.output_names, fit.fit_percent),
+        "rmse": per_name(record.output_names, fit.rmse),
+        "units": dict(zip(record.output_names, record.output_units)),
+        "record": record_document(record),
+        "warnings": list(warnings),
+    }

@@ -1,0 +1,71 @@
+"""Units of mass, damping and stiffness, composed as text from the units of the channels."""
+
+import numpy as np
+
+from ..mechanics.drives import ORDER, Force
+from ..mechanics.model import MechanicalModel
+
+_ENDINGS = {"velocity": ("/s",), "acceleration": ("/s^2", "/s²", "/s2")}
+
+
+def displacement_unit(unit: str, measured: str) -> str:
+    """Unit of the displacement that goes with a measured quantity: m/s^2 of an acceleration gives m.
+
+    **Arguments:** `unit` of the channel; `measured`: "displacement", "velocity" or "acceleration".
+
+    **Returns:** the unit, empty where none is given.
+    """
+    unit = unit.strip()
+    for ending in _ENDINGS.get(measured, ()):
+        if unit.endswith(ending):
+            return unit[: -len(ending)]
+    if measured == "displacement" or not unit:
+        return unit
+    return f"{_factor(unit)} {'s' if ORDER[measured] == 1 else 's^2'}"
+
+
+def _factor(unit: str) -> str:
+    """In brackets where it would not bind as one factor."""
+    return f"({unit})" if "/" in unit or " " in unit or "*" in unit else unit
+
+
+def _quotient(over: str, under: str) -> str:
+    return f"{over}/{_factor(under)}"
+
+
+def matrix_units(model: MechanicalModel) -> dict[str, list[list[str]]] | None:
+    """Unit of every entry of mass, damping and stiffness, such as `N s^2/m`.
+
+    Row r is a force on coordinate r: the unit of an input that acts there, or what makes the same work.
+
+    **Arguments:** `model`.
+
+    **Returns:** one text per entry; None where a unit is missing or the base is driven, which leaves the
+    scale of the matrices open.
+    """
+    if not isinstance(model.drive, Force) or not all(model.input_units) or not all(model.output_units):
+        return None
+    place = [displacement_unit(unit, kind) for unit, kind in zip(model.output_units, model.measured)]
+    E = np.asarray(model.drive.input_map)
+    force: list[str | None] = [None] * model.dofs
+    for row, column in np.argwhere(E != 0):
+        force[row] = force[row] or model.input_units[column]
+    known = next(k for k, unit in enumerate(force) if unit is not None)
+
+    def stiffness(r: int, c: int) -> tuple[str, str]:
+        """Numerator and denominator; the matrix is symmetric, so that either row may give the force."""
+        for row, column in ((r, c), (c, r)):
+            if force[row] is not None:
+                return force[row], place[column]
+        if place[r] == place[known]:
+            return force[known], place[c]
+        return f"{force[known]} {place[known]}", f"{_factor(place[r])} {_factor(place[c])}"
+
+    powers = {"mass": " s^2", "damping": " s", "stiffness": ""}
+    return {
+        name: [
+            [_quotient(stiffness(r, c)[0] + power, stiffness(r, c)[1]) for c in range(model.dofs)]
+            for r in range(model.dofs)
+        ]
+        for name, power in powers.items()
+    }
