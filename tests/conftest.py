@@ -1,9 +1,14 @@
-"""Set-up that every test needs: 64-bit floats, enough threads, a compilation cache."""
+"""Set-up that every test needs: 64-bit floats, enough threads, compilations shared by all workers."""
 
 import os
+import pathlib
+import tempfile
 
 os.environ.setdefault("NPROC", "4")
 
 import jax
 
 jax.config.update("jax_enable_x64", True)
+cache = pathlib.Path(tempfile.gettempdir()) / f"jaxgray-tests-{os.getuid()}"
+jax.config.update("jax_compilation_cache_dir", os.environ.get("JAX_COMPILATION_CACHE_DIR", str(cache)))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)

@@ -46,8 +46,10 @@ def _top(
     pass
 
 
-def _finish(document: dict, show, talk: Talk, target: str | None, files: dict[Path, bytes]) -> None:
-    """Write everything that was asked for, then say it."""
+def _finish(
+    document: dict, show, talk: Talk, target: str | None, files: dict[Path, bytes], notes: list[str]
+) -> None:
+    """Write everything that was asked for, then say it; the reader's notes go to the error stream."""
     from ..report import export, terminal
 
     for path, content in files.items():
@@ -56,24 +58,28 @@ def _finish(document: dict, show, talk: Talk, target: str | None, files: dict[Pa
         export.write_json(document, target)
     if target == "-":
         sys.stdout.write(json.dumps(export._plain(document, ""), allow_nan=False, indent=1) + "\n")
+        notes = document["warnings"]
     elif not talk.quiet:
-        show(terminal.console(), document)
+        own = [text for text in document["warnings"] if text not in notes]
+        show(terminal.console(), document | {"warnings": own})
     if not talk.quiet:
-        for text in document["warnings"]:
+        for text in notes:
             print(f"warning: {' '.join(text.split())}", file=sys.stderr)
 
 
-def _drawn(folder: Path | None, *drawings) -> dict[Path, bytes]:
+def _drawn(folder: Path | None, result, names: tuple[str, ...]) -> dict[Path, bytes]:
     """Figures as PNG, by the files they go to."""
     if folder is None:
         return {}
     import io
 
+    from ..report import figures
+
     folder.mkdir(parents=True, exist_ok=True)
     files = {}
-    for name, draw, result in drawings:
+    for name in names:
         buffer = io.BytesIO()
-        draw(result).savefig(buffer, format="png", dpi=150)
+        getattr(figures, name)(result).savefig(buffer, format="png", dpi=150)
         files[folder / f"{name}.png"] = buffer.getvalue()
     return files
 
@@ -111,7 +117,7 @@ def identify(
 
         prepare(verbose=talk.verbose)
         from ..identification import identify
-        from ..report import figures, summary
+        from ..report import summary
 
         result = identify(
             record,
@@ -125,13 +131,8 @@ def identify(
         )
         progress.stage("reporting")
         document = summary.identification_document(result, tuple(notes))
-        drawn = _drawn(
-            output.figures,
-            ("compare", figures.compare, result),
-            ("residuals", figures.residuals, result),
-            ("bode", figures.bode, result),
-        )
-    _finish(document, terminal.show_identification, talk, output.json, drawn)
+        drawn = _drawn(output.figures, result, ("compare", "residuals", "bode"))
+    _finish(document, terminal.show_identification, talk, output.json, drawn, notes)
 
 
 @app.command(short_help="Tabulate time constants and block rows of the start.")
@@ -155,12 +156,12 @@ def sweep(
 
         prepare(verbose=talk.verbose)
         from ..identification import sweep
-        from ..report import figures, summary
+        from ..report import summary
 
         result = sweep(record, validation=validation, spacing=spacing.spacing, progress=progress, **options)
         document = summary.sweep_document(result, tuple(notes))
-        drawn = _drawn(output.figures, ("sweep", figures.sweep_map, result))
-    _finish(document, terminal.show_sweep, talk, output.json, drawn)
+        drawn = _drawn(output.figures, result, ("sweep_map",))
+    _finish(document, terminal.show_sweep, talk, output.json, drawn, notes)
 
 
 @app.command(short_help="Run a model freely against a record.")
@@ -204,7 +205,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
         if simulating.out is not None:
             columns = files.simulation_columns(record, run)
             written[simulating.out] = files.columns_text(columns).encode()
-    _finish(document, terminal.show_simulation, talk, simulating.json, written)
+    _finish(document, terminal.show_simulation, talk, simulating.json, written, notes)
 
 
 class _Wanted:

@@ -143,7 +143,7 @@ def identify(
         )
         M, D, K = refinement.mass, refinement.damping, refinement.stiffness
     progress.stage("assessing")
-    matrices = [np.asarray(X) for X in scaling.matrices_out(M, D, K)]
+    matrices = [np.array(X) for X in scaling.matrices_out(M, D, K)]
     for matrix, name in zip(matrices, ("mass", "damping", "stiffness")):
         for (owner, r, c), value in entries.items():
             if owner == name:

@@ -23,6 +23,10 @@ from .structure import Structure
 FLOOR = 1e-12
 """Smallest residual, relative to the outputs, that the weights resolve: below it is rounding."""
 
+LIFTS = (1e-3, 1e-1)
+"""How far a start is lifted off the edge, relative to its largest eigenvalue; the second only where it lies there:
+a direction that starts hundreds of times too soft may never find its frequency again."""
+
 _BOLDNESS = 30.0
 """The optimiser's first damping is 1: with Jacobian columns of this norm it is a thousandth of the curvature."""
 
@@ -124,6 +128,12 @@ def levenberg_marquardt(
     return unpack(vectors, scales, logarithmic, sizes), found, solution.stats["num_steps"]
 
 
+def on_edge(blocks: list[Array]) -> bool:
+    """Whether any block is closer to singular than the first lift."""
+    values = [np.linalg.eigvalsh(np.asarray(block)) for block in blocks]
+    return any(value[0] < LIFTS[0] * value[-1] for value in values)
+
+
 def setting_dofs(setting: Setting) -> int:
     """Number of coordinates."""
     return len(setting.measured)
@@ -197,13 +207,21 @@ def refine(
         deviation = jnp.ones(outputs)
     whitening = jnp.diag(1 / jnp.sqrt(jnp.maximum(deviation, FLOOR**2)))
     free_start = fixed is None or not np.any(fixed)
-    blocks = structure.blocks(*start, lift=1e-3 if free_start else 0.0)
     taken = 0
-    if free_start:
-        for _ in range(rounds):
-            blocks, nuisance, steps = levenberg_marquardt(blocks, nuisance, whitening, batch, setting, structure)
-            whitening = residual_whitening(blocks, nuisance, batch, setting, structure, correlated)
-            taken += int(steps)
+    if not free_start:
+        blocks = structure.blocks(*start, lift=0.0)
+    else:
+        best = None
+        for lift in LIFTS if on_edge(structure.blocks(*start, lift=0.0)) else LIFTS[:1]:
+            here, around, W = structure.blocks(*start, lift=lift), nuisance, whitening
+            for _ in range(rounds):
+                here, around, steps = levenberg_marquardt(here, around, W, batch, setting, structure)
+                W = residual_whitening(here, around, batch, setting, structure, correlated)
+                taken += int(steps)
+            likelihood = float(jnp.sum(jnp.log(jnp.diag(W))))
+            if best is None or likelihood > best[0]:
+                best = likelihood, here, around, W
+        _, blocks, nuisance, whitening = best
         if innovations:
             noisy = begin_nuisance(batch, setting, offset=offset, innovations=True)
             nuisance = eqx.tree_at(lambda n: n.noise, nuisance, noisy.noise, is_leaf=lambda x: x is None)

@@ -103,15 +103,20 @@ def residual_test(
     return ResidualTest(auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, early)
 
 
-def whiten_by_ar(x: Float[np.ndarray, " samples"], order: int = AR_ORDER) -> Float[np.ndarray, " samples"]:
-    """Prediction errors of an AR model fitted by Yule-Walker."""
+def ar_coefficients(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " coefficients"]:
+    """1, −a_1, … of the AR model of order 10 fitted by Yule-Walker; 1, 0, … for a signal of zeros."""
     n = len(x)
-    order = min(order, n // 4)
+    order = min(AR_ORDER, n // 4)
     r = np.array([np.dot(x[lag:], x[: n - lag]) / n for lag in range(order + 1)])
-    if not r[0] > 0 or order == 0:
-        return x
-    coefficients = scipy.linalg.solve_toeplitz(np.concatenate([[r[0] * (1 + 1e-9)], r[1:-1]]), r[1:])
-    return scipy.signal.lfilter(np.concatenate([[1.0], -coefficients]), [1.0], x)
+    if not r[0] > 0:
+        return np.eye(order + 1)[0]
+    solution = scipy.linalg.solve_toeplitz(np.concatenate([[r[0] * (1 + 1e-9)], r[1:-1]]), r[1:])
+    return np.concatenate([[1.0], -solution])
+
+
+def whiten_by_ar(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+    """Prediction errors of that AR model."""
+    return scipy.signal.lfilter(ar_coefficients(x), [1.0], x)
 
 
 def noise_floor(residual: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, " outputs"]:
@@ -170,7 +175,7 @@ def structure_test(
                     features.append(x)
                     x = scipy.signal.lfilter([-a, 1.0], [1.0, -a], x)
         table = np.concatenate([jacobian[:, k], np.ones((len(e), 1)), np.stack(features, axis=1)], axis=1)
-        coefficients = _ar_coefficients(e)
+        coefficients = ar_coefficients(e)
         white = scipy.signal.lfilter(coefficients, [1.0], np.concatenate([table, e[:, None]], axis=1), axis=0)
         white = white[AR_ORDER:] * np.isfinite(residual[AR_ORDER:, k])[:, None]
         first = jacobian.shape[2] + 1
@@ -191,15 +196,6 @@ def structure_test(
     p_value = float(scipy.stats.f.sf(statistic, max(free, 1), used))
     share = 100 * max(explained - free, 0.0) / max(total, 1e-300)
     return StructureTest(float(statistic), p_value, float(share), p_value > significance)
-
-
-def _ar_coefficients(x: np.ndarray) -> np.ndarray:
-    n = len(x)
-    r = np.array([np.dot(x[lag:], x[: n - lag]) / n for lag in range(AR_ORDER + 1)])
-    if not r[0] > 0:
-        return np.eye(AR_ORDER + 1)[0]
-    solution = scipy.linalg.solve_toeplitz(np.concatenate([[r[0] * (1 + 1e-9)], r[1:-1]]), r[1:])
-    return np.concatenate([[1.0], -solution])
 
 
 def information_criteria(cost: float, count: int, parameters: int) -> tuple[float, float]:

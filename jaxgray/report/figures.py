@@ -47,7 +47,6 @@ def compare(result: Identification, *, held_out: bool | None = None, record: int
     for k, name in enumerate(data.output_names):
         unit = data.output_units[k]
         floor = 2 * float(result.noise_floor[k])
-        first = None
         for column, window in enumerate((slice(0, data.samples), close)[:columns]):
             above = figure.add_subplot(grid[2 * k, column])
             below = figure.add_subplot(grid[2 * k + 1, column], sharex=above)
@@ -60,28 +59,19 @@ def compare(result: Identification, *, held_out: bool | None = None, record: int
             for edge, label in ((-floor, None), (floor, "±2 σ of the noise")):
                 below.axhline(edge, color="black", linewidth=0.9, linestyle="--", label=label)
             above.margins(x=0)
+            title = f"{name}: fit {fit.fit_percent[k]:.2f} %" if column == 0 else "a closer look"
+            above.set_title(title, loc="left", fontsize="medium")
             if column == 0:
                 above.set_ylabel(_labelled(name, unit))
                 below.set_ylabel(_labelled("residual", unit))
-                above.set_title(f"{name}: fit {fit.fit_percent[k]:.2f} %", loc="left", fontsize="medium")
-                first = above, below
-            else:
-                above.set_title("a closer look", loc="left", fontsize="medium")
-                if k == 0:
-                    handles = [part for axes in first for part in axes.get_legend_handles_labels()[0]]
-                    above.legend(
-                        handles=handles,
-                        loc="lower right",
-                        bbox_to_anchor=(1.0, 1.0),
-                        ncols=2,
-                        fontsize="x-small",
-                    )
+            if k == 0 and column == columns - 1:
+                handles = [part for axes in (above, below) for part in axes.get_legend_handles_labels()[0]]
+                corner = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0)}
+                above.legend(handles=handles, ncols=2, fontsize="x-small", **corner)
             if k == data.outputs - 1:
                 below.set_xlabel("time [s]")
             else:
                 below.tick_params(labelbottom=False)
-        if columns == 1 and k == 0:
-            first[0].legend(loc="upper right", fontsize="x-small", ncols=2)
     return figure
 
 
@@ -174,7 +164,7 @@ def bode(result: Identification, *, points: int = 600) -> Figure:
     n, m = model.dofs, model.inputs
     frequency, resonances, antiresonances = _frequencies(result, points)
     H, magnitude, phase = _responses(result, 2 * np.pi * frequency)
-    figure = Figure(figsize=(1.6 + 4.2 * m, 0.8 + 3.0 * n), layout="constrained")
+    figure = Figure(figsize=(max(1.6 + 4.2 * m, 7.0), 0.8 + 3.0 * n), layout="constrained")
     axes = figure.subplots(2 * n, m, squeeze=False, sharex=True, height_ratios=[1.7, 1.0] * n)
     for k, place in enumerate(model.output_names):
         kind = KIND[ORDER[model.measured[k]]]
@@ -188,7 +178,10 @@ def bode(result: Identification, *, points: int = 600) -> Figure:
             if magnitude is not None:
                 reach = QUANTILE_95 * magnitude[:, k, j]
                 low = np.maximum(size - reach, 1e-3 * size)
+                limits = above.get_ylim()
                 above.fill_between(frequency, low, size + reach, color=SIMULATED, alpha=0.25, linewidth=0)
+                # Where it is hardly known the band reaches down to zero, which must not stretch the axis.
+                above.set_ylim(limits[0] / 3, limits[1] * 1.5)
                 wide = np.degrees(np.minimum(QUANTILE_95 * phase[:, k, j], np.pi))
                 below.fill_between(
                     frequency, angle - wide, angle + wide, color=SIMULATED, alpha=0.25, linewidth=0

@@ -192,7 +192,8 @@ def _test_lines(document: dict) -> list[str]:
     if found is not None:
         more = f"another linear model explains {found['explained_percent']:.2g} % more of the residual"
         fits = "M, D, K suffice" if found["fits"] else "M, D, K do not suffice: " + more
-        lines.append(f"structure: {fits} (p = {found['p_value']:.2g})")
+        p = found["p_value"]
+        lines.append(f"structure: {fits} ({f'p = {p:.2g}' if p > 1e-16 else 'p < 1e-16'})")
     return lines
 
 

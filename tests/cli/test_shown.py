@@ -1,0 +1,275 @@
+"""The commands from file to file, and the figures, on one record of the reference system.
+
+All in one file: the workers of a test run share files out, and each would compile for itself.
+"""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from independent import REFERENCE, REFERENCE_TIME, reference_record, relative_errors
+
+import jaxgray
+from jaxgray import demonstration
+from jaxgray.cli import main
+from jaxgray.report.figures import MOST_POINTS, bode, compare, residuals, sweep_map
+
+CHANNELS = ["--inputs", "u1,u2", "--outputs", "y1,y2"]
+
+
+def strict(text):
+    """JSON without NaN and infinity, which Python would read."""
+
+    def refuse(word):
+        raise AssertionError(f"{word} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def run(*argv):
+    assert main([str(one) for one in argv]) == 0
+
+
+@pytest.fixture(scope="module")
+def identified(records, tmp_path_factory):
+    """What `identify` wrote: JSON and figures."""
+    folder = tmp_path_factory.mktemp("identified")
+    options = ["--validation", records[1], "--json", folder / "result.json", "--figures", folder / "drawn"]
+    run("identify", records[0], *CHANNELS, *options, "--quiet")
+    return folder
+
+
+def test_identify_writes_strict_json(identified):
+    found = strict((identified / "result.json").read_text())
+    assert found["schema"] == "jaxgray/identification/1"
+    model = found["model"]
+    errors = relative_errors([model[name] for name in ("mass", "damping", "stiffness")], REFERENCE.values())
+    assert np.all(errors < [2e-3, 6e-3, 2e-3])
+    for name, true in zip(("mass", "damping", "stiffness"), REFERENCE.values()):
+        assert np.all(np.abs(model[name] - true) < 5 * np.array(model["standard_errors"][name]))
+    assert model["units"]["mass"][0][1] == "N s^2/m"
+    assert model["input_map"] == [[1.0, 0.0], [0.0, 1.0]]
+    for kind in ("estimation", "validation"):
+        assert set(found["fit_percent"][kind]) == set(found["rmse"][kind]) == {"y1", "y2"}
+        assert min(found["fit_percent"][kind].values()) > 95
+    assert found["noise_floor"]["y1"] == pytest.approx(3e-4, rel=0.05)
+    poles = np.linalg.eigvals(
+        np.block(
+            [
+                [np.zeros((2, 2)), np.eye(2)],
+                [-np.linalg.solve(REFERENCE["M"], REFERENCE[name]) for name in "KD"],
+            ]
+        )
+    )
+    frequencies = np.sort(np.abs(poles[poles.imag > 0])) / (2 * np.pi)
+    for mode, frequency in zip(found["modes"], frequencies):
+        assert 0 < mode["frequency_standard_error"] < 1e-3
+        assert mode["frequency_hz"] == pytest.approx(frequency, rel=2e-2)
+    assert found["zeros_hz"]["u1->y1"] == pytest.approx([np.sqrt(100) / (2 * np.pi)], rel=1e-2)
+    assert np.shape(found["covariance"]["matrix"]) == (9, 9) == (len(found["covariance"]["names"]), 9)
+    assert found["residual_test"] == {"white": True, "input_explained": False, "feedback": False}
+    assert found["structure_test"]["fits"]
+    assert found["records"]["estimation"][0]["samples"] == 3000
+
+
+def test_without_refinement_what_is_not_known_is_null(records, capsys):
+    run("identify", records[0], *CHANNELS, "--no-refine", "--json", "-")
+    said = capsys.readouterr()
+    found = strict(said.out)
+    assert said.err == ""
+    assert found["model"]["standard_errors"] is None
+    for name in ("covariance", "condition_number", "at_edge", "weak_directions", "unmoved", "structure_test"):
+        assert found[name] is None
+    assert found["modes"][0]["frequency_standard_error"] is None
+    assert "validation" not in found["fit_percent"]
+
+
+def test_the_terminal_says_the_verdict_first(records, capsys):
+    run("identify", records[0], *CHANNELS, "--validation", records[1])
+    said = capsys.readouterr()
+    assert said.err == ""
+    lines = said.out.splitlines()
+    assert lines[0].startswith("2 coordinates, 2 inputs: fit 9")
+    assert lines[0].endswith("% on data the fit has not seen; residual white.")
+    for text in ("mass [N s^2/m]", "stiffness [N/m]", " ± ", "validation fit", "noise floor", "feedback"):
+        assert text in said.out
+    assert "\x1b" not in said.out
+
+
+def test_quiet_says_nothing(records, capsys, tmp_path):
+    run("identify", records[0], *CHANNELS, "--quiet", "--no-refine", "--json", tmp_path / "out.json")
+    said = capsys.readouterr()
+    assert said.out == said.err == ""
+
+
+def test_warnings_of_the_reader_are_told_and_kept(records, tmp_path, capsys):
+    lines = records[0].read_text().splitlines()
+    del lines[1000:1003]
+    path = tmp_path / "gap.csv"
+    path.write_text("\n".join(lines) + "\n")
+    run("identify", path, *CHANNELS, "--no-refine", "--json", tmp_path / "out.json")
+    said = capsys.readouterr()
+    told = [line for line in said.err.splitlines() if line.startswith("warning: gap.csv: 3 of 3000")]
+    assert len(told) == 1
+    assert any(
+        text.startswith("gap.csv: 3 of 3000")
+        for text in strict((tmp_path / "out.json").read_text())["warnings"]
+    )
+
+
+def test_simulate_takes_the_result_and_repeats_its_fit(identified, records, tmp_path, capsys):
+    out = tmp_path / "run.csv"
+    run("simulate", identified / "result.json", records[1], "--out", out, "--json", "-")
+    said = strict(capsys.readouterr().out)
+    before = strict((identified / "result.json").read_text())["fit_percent"]["validation"]
+    assert said["fit_percent"] == pytest.approx(before, abs=1e-4)
+    table = jaxgray.read_record(out, inputs="y1 measured", outputs=["y1 simulated", "y1 residual"])
+    assert table.output_units == ("m", "m")
+    np.testing.assert_allclose(table.u[:, 0] - table.y[:, 0], table.y[:, 1], atol=1e-15)
+
+
+def test_simulate_refuses_other_channels(identified, records, capsys):
+    assert main(["simulate", str(identified / "result.json"), str(records[1]), "--inputs", "u1"]) == 2
+    assert "2 inputs" in capsys.readouterr().err
+
+
+def test_figures_are_files(identified):
+    for name in ("compare", "residuals", "bode"):
+        assert (identified / "drawn" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_sweep_tabulates_every_choice(records, tmp_path, capsys):
+    target = tmp_path / "sweep.json"
+    options = ["--time-constant", "0.03,0.1", "--block-rows", "6,8", "--validation", records[1]]
+    run("sweep", records[0], *CHANNELS, *options, "--json", target, "--figures", tmp_path)
+    found = strict(target.read_text())
+    assert found["schema"] == "jaxgray/sweep/1"
+    assert np.shape(found["cells"]) == (2, 2)
+    assert found["unstable"] == found["failed"] == 0
+    best = found["best"]
+    assert best["time_constant"] in (0.03, 0.1) and best["block_rows"] in (6, 8)
+    assert min(best["fit_percent"]["validation"].values()) > 95
+    assert np.all(relative_errors([best["mass"]], [REFERENCE["M"]]) < 0.02)
+    assert capsys.readouterr().out.startswith("Best of 4: time constant")
+    assert (tmp_path / "sweep_map.png").exists()
+
+
+def test_demo_writes_what_it_simulated(tmp_path, capsys, monkeypatch):
+    # Shorter records, of the shapes that the other tests have compiled.
+    made = demonstration.demonstrate(7, samples=3000)
+    monkeypatch.setattr(demonstration, "demonstrate", lambda seed, progress: made if seed == 7 else None)
+    run("demo", "--seed", "7", "--out", tmp_path / "new" / "demo")
+    folder = tmp_path / "new" / "demo"
+    for name in ("estimation", "validation"):
+        again = jaxgray.read_record(folder / f"{name}.csv", inputs=["u1", "u2"], outputs=["y1", "y2"])
+        record = getattr(made, name)
+        np.testing.assert_array_equal(again.u, record.u)
+        np.testing.assert_array_equal(again.y, record.y)
+        assert again.sampling_time == record.sampling_time
+        assert again.input_units == ("N", "N") and again.output_units == ("m", "m")
+    truth = strict((folder / "truth.json").read_text())
+    np.testing.assert_array_equal(truth["stiffness"], REFERENCE["K"])
+    assert strict((folder / "result.json").read_text())["schema"] == "jaxgray/identification/1"
+    said = capsys.readouterr().out
+    for text in ("subspace start", "refined", "published", "0.0303", "0.125", "0.00108", "without noise"):
+        assert text in said
+    assert np.all(made.clean_fit_percent > 99.5)
+    run("demo", "--seed", "7", "--quiet")
+    assert capsys.readouterr().out == ""
+
+
+def record(seed):
+    """A record with the data of the files."""
+    u, y, _ = reference_record(seed, samples=3000)
+    return jaxgray.Record(u, y, REFERENCE_TIME, input_units=("N", "N"), output_units=("m", "m"))
+
+
+@pytest.fixture(scope="module")
+def result():
+    return jaxgray.identify(record(11), validation=record(12))
+
+
+def test_compare(result):
+    figure = compare(result)
+    figure.canvas.draw()
+    assert "held-out" in figure.get_suptitle()
+    first = figure.axes[0]
+    assert first.get_ylabel() == "y1 [m]" and first.get_title(loc="left").startswith("y1: fit 9")
+    measured, simulated = first.get_lines()
+    np.testing.assert_array_equal(measured.get_ydata(), result.validation_records[0].y[:, 0])
+    np.testing.assert_array_equal(simulated.get_ydata(), result.validation[0].simulated[:, 0])
+    assert figure.axes[-1].get_xlabel() == "time [s]"
+    assert "record of the fit" in compare(result, held_out=False).get_suptitle()
+    with pytest.raises(ValueError, match="record=3 is not there; there are 1"):
+        compare(result, record=3)
+
+
+def test_long_records_keep_their_extremes_and_gaps(result):
+    data = result.validation_records[0]
+    u, y = (np.tile(x, (10, 1)) for x in (data.u, data.y))
+    y[20000, 0], y[100:2000, 1] = 7.0, np.nan
+    fit = result.validation[0]
+    stretched = dataclasses.replace(
+        fit, simulated=np.tile(fit.simulated, (10, 1)), residual=np.tile(fit.residual, (10, 1))
+    )
+    long = jaxgray.Record(u, y, REFERENCE_TIME)
+    figure = compare(dataclasses.replace(result, validation=(stretched,), validation_records=(long,)))
+    figure.canvas.draw()
+    for axes in figure.axes:
+        for line in axes.get_lines():
+            assert len(line.get_ydata()) <= MOST_POINTS
+    assert np.max(figure.axes[0].get_lines()[0].get_ydata()) == 7.0
+    gap = next(axes for axes in figure.axes if axes.get_ylabel() == "y2")
+    assert np.isnan(gap.get_lines()[0].get_ydata()).any()
+
+
+def test_residuals(result):
+    figure = residuals(result)
+    figure.canvas.draw()
+    assert figure.get_suptitle().endswith("white; inputs explain no more of it")
+    assert [axes.get_title() for axes in figure.axes[:3]] == [
+        "autocorrelation",
+        "with earlier u1",
+        "with earlier u2",
+    ]
+    assert figure.axes[-1].get_xlabel() == "lag [samples]"
+
+
+def test_bode(result):
+    figure = bode(result)
+    figure.canvas.draw()
+    above, below = figure.axes[0], figure.axes[2]
+    assert above.get_ylabel() == "|H|, receptance [m/N]" and below.get_ylabel() == "phase [°]"
+    curve = above.get_lines()[0]
+    frequency, size = curve.get_data()
+    direct = result.model.frequency_response(2 * np.pi * np.asarray(frequency))[:, 0, 0]
+    np.testing.assert_allclose(size, np.abs(direct), rtol=1e-9)
+    marked = [line.get_xdata()[0] for line in above.get_lines()[1:]]
+    np.testing.assert_allclose(marked[:2], result.model.modes().natural_frequency_hz)
+    assert marked[2] == pytest.approx(result.model.zeros(input="u1", output="y1").antiresonance_hz[0])
+    assert len(above.collections) == 1
+
+
+def test_bode_without_refinement_has_no_band(result):
+    figure = bode(dataclasses.replace(result, uncertainty=None))
+    figure.canvas.draw()
+    assert "band" not in figure.get_suptitle()
+    assert not figure.axes[0].collections
+
+
+def test_sweep_map():
+    rng = np.random.default_rng(1)
+    fit = rng.uniform(80, 97, (3, 2, 2))
+    fit[1, 1] = np.nan
+    fit[2, 0] = 98.0
+    matrices = [np.zeros((3, 2, 2, 2))] * 3
+    found = jaxgray.Sweep(
+        np.array([0.01, 0.03, 0.1]), np.array([4, 6]), fit, None, *matrices, 1, 0, ("y1", "y2")
+    )
+    assert found.best_index == (2, 0) and found.best["time_constant"] == 0.1
+    assert "98.00*" in repr(found) and "1 of 6 choices unstable" in repr(found) and "–" in repr(found)
+    figure = sweep_map(found)
+    figure.canvas.draw()
+    assert figure.axes[0].get_ylabel() == "time constant [s]"
+    assert [text.get_text() for text in figure.axes[0].texts].count("–") == 1

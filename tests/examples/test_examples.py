@@ -1,0 +1,105 @@
+"""The examples and what the README says run as they stand, and reach the figures that they claim."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+BENCH = ROOT.parent / "shared" / "data" / "motor_bench_estimation.csv"
+
+
+def example(name):
+    """An example as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def blocks(language):
+    """The README's code blocks of one language."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def test_the_papers_simulation_beats_its_published_errors(tmp_path, capsys):
+    paper = example("paper_simulation")
+    found = paper.main(["--samples", "6000", "--out", str(tmp_path)])
+    errors = found["errors"]
+    assert errors["published"] == paper.PUBLISHED
+    assert np.all(np.less(errors["refined"], paper.PUBLISHED)), errors["refined"]
+    assert np.all(np.less(errors["exact map, automatic τ and i"], paper.PUBLISHED))
+    fixed = np.array(errors["paper's map, τ = 0.15 s, i = 10"])
+    assert np.all(np.array(errors["exact map, automatic τ and i"]) < 0.1 * fixed)
+    assert np.all(found["nrmse"]["refined", "noise-free"] < 0.005)
+    assert np.all(found["nrmse"]["refined", "noisy"] < 0.04)
+    assert len(found["zeros"]["all"].values) == 0
+    # Antiresonances of a collocated pair: the other coordinate alone on its spring.
+    alone = np.sqrt(paper.STIFFNESS[1, 1] / paper.MASS[1, 1]) / (2 * np.pi)
+    assert found["zeros"]["u1", "y1"].antiresonance_hz == pytest.approx([alone], rel=2e-3)
+    for table in found["sweeps"].values():
+        assert np.nanmax(np.min(table.validation_fit_percent, axis=2)) > 96
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bode.png", "compare.png", "sweep.png"]
+    assert "published" in capsys.readouterr().out
+
+
+def test_the_micro_manipulators_frequencies_are_found_without_tuning(capsys):
+    manipulator = example("micro_manipulator")
+    found = manipulator.main(["--samples", "6000"])
+    error = found["frequencies_hz"] - manipulator.FREQUENCIES_HZ
+    assert np.all(np.abs(error) < 1e-3 * manipulator.FREQUENCIES_HZ)
+    assert np.all(np.abs(error) < 4.5 * found["standard_errors_hz"])
+    assert np.all(np.array(found["errors"]) < 0.005)
+    assert found["damping_ratios"] == pytest.approx(manipulator.DAMPING_RATIO, rel=0.01)
+    assert "83.107" in capsys.readouterr().out
+
+
+def test_the_simulated_bench_agrees_with_its_frequency_response_and_the_truth(capsys):
+    bench = example("measured_record")
+    rows = bench.main(["--samples", "7500"])["rows"]
+    assert [row[0] for row in rows] == ["resonance", "antiresonance"]
+    k, (motor, load) = bench.STIFFNESS[0, 0], np.diag(bench.INERTIA)
+    truth = np.sqrt([k * (1 / motor + 1 / load), k / load]) / (2 * np.pi)
+    for (what, _, model, error, without), true in zip(rows, truth):
+        assert model == pytest.approx(true, rel=1e-3), what
+        assert abs(model - true) < 4.5 * error, what
+        assert without == pytest.approx(true, abs=0.5), what
+    assert "current to motor_angle" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not BENCH.exists(), reason=f"measured data are not part of the project: no {BENCH.name}")
+def test_a_measured_bench_agrees_with_its_frequency_response(capsys):
+    rows = example("measured_record").main([str(BENCH)])["rows"]
+    (resonance, antiresonance) = rows
+    assert (resonance[0], antiresonance[0]) == ("resonance", "antiresonance")
+    assert 76 < resonance[4] < 77 and 53 < antiresonance[4] < 55
+    assert abs(resonance[2] - resonance[4]) < 1.0
+    assert abs(antiresonance[2] - antiresonance[4]) < 1.0
+
+
+def test_the_readmes_python_runs_as_it_stands():
+    (code,) = blocks("python")
+    assert len(code.strip().splitlines()) <= 20
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=300, cwd=ROOT
+    )
+    assert run.returncode == 0, run.stderr
+    mass = re.search(r"mass +([\d.]+) ± ([\d.e-]+)", run.stdout)
+    assert abs(float(mass[1]) - 2.0) < 4.5 * float(mass[2]) < 0.1
+    assert "fit on validation" in run.stdout and "Modes" in run.stdout
+
+
+def test_the_readme_has_two_commands_to_set_up_and_the_script_runs_the_second():
+    demo, test, *_ = (block.strip() for block in blocks("sh"))
+    assert demo.startswith("python3 -m venv .venv && ") and demo.endswith("jaxgray demo")
+    assert test.startswith("python3 -m venv .venv && ") and test.endswith("-m pytest")
+    script = ROOT / ".ci" / "run"
+    assert os.access(script, os.X_OK)
+    lines = script.read_text(encoding="utf-8").strip().splitlines()
+    assert lines[-1] == test and "set -euo pipefail" in lines

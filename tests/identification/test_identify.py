@@ -1,0 +1,268 @@
+"""The whole identification on records of one length, so that one compilation serves most tests."""
+
+import independent as data
+import numpy as np
+import pytest
+from jaxgray import ComputationError, MechanicalModel, Record, identify
+
+pytestmark = pytest.mark.xdist_group("identify")
+
+H = data.REFERENCE_TIME * 4
+SAMPLES = 4000
+TRUTH = tuple(data.REFERENCE.values())
+NOISE = data.REFERENCE_NOISE
+
+
+def record_of(seed, *, noise=NOISE, offset=0.0, x0=None, truth=TRUTH, E=None, samples=SAMPLES, w=None):
+    rng = np.random.default_rng(seed)
+    inputs = 2 if E is None else E.shape[1]
+    u = data.random_steps(rng, samples, inputs, H, (0.2, 1.5))
+    y = data.simulate(*truth, u, H, E=E, x0=x0, w=w) + offset
+    return Record(u, y + noise * rng.standard_normal(y.shape), H)
+
+
+def errors_of(found, truth=TRUTH):
+    return data.relative_errors((found.mass, found.damping, found.stiffness), truth)
+
+
+def sensitivities(u):
+    """Derivatives of the outputs by the entries of M, D, K, first state and offsets, by central differences."""
+    columns = []
+    for matrix in range(3):
+        for r, c in ((0, 0), (0, 1), (1, 1)):
+            step = 1e-4 * np.linalg.norm(TRUTH[matrix])
+            pair = []
+            for sign in (1, -1):
+                changed = [X.copy() for X in TRUTH]
+                changed[matrix][r, c] += sign * step
+                changed[matrix][c, r] = changed[matrix][r, c]
+                pair.append(data.simulate(*changed, u, H))
+            columns.append((pair[0] - pair[1]) / (2 * step))
+    columns += [data.simulate(*TRUTH, 0 * u, H, x0=x0) for x0 in np.eye(4)]
+    columns += [np.tile(row, (len(u), 1)) for row in np.eye(2)]
+    return np.stack(columns, axis=-1)
+
+
+def bound_of(J, noise=NOISE, kept=None):
+    J = (J if kept is None else J * kept[..., None]).reshape(-1, J.shape[-1]) / noise
+    information = J.T @ J
+    inner = np.linalg.solve(information[9:, 9:], information[9:, :9])
+    return np.linalg.inv(information[:9, :9] - information[:9, 9:] @ inner)
+
+
+def entries(found):
+    return np.concatenate([X[(0, 0, 1), (0, 1, 1)] for X in (found.mass, found.damping, found.stiffness)])
+
+
+@pytest.fixture(scope="module")
+def bound():
+    return bound_of(sensitivities(record_of(0).u))
+
+
+def test_sixty_realisations_reach_the_cramer_rao_bound(bound):
+    """One input, sixty noises: errors as small as they can be, intervals as wide as they should be."""
+    clean = record_of(0, noise=0.0)
+    truth = np.concatenate([X[(0, 0, 1), (0, 1, 1)] for X in TRUTH])
+    deviations, standard = [], []
+    for seed in range(60):
+        noise = NOISE * np.random.default_rng(100 + seed).standard_normal(clean.y.shape)
+        found = identify(Record(clean.u, clean.y + noise, H), time_constants=0.1, block_rows=6)
+        deviations.append(entries(found) - truth)
+        standard.append(np.sqrt(np.diag(found.covariance)))
+    deviations, standard = np.array(deviations), np.array(standard)
+    twice = np.tile([1.0, 2.0, 1.0], 3)
+    ratio = np.sqrt(
+        (twice * np.mean(deviations**2, axis=0)).reshape(3, 3).sum(1) / (twice * np.diag(bound)).reshape(3, 3).sum(1)
+    )
+    assert np.all((ratio > 0.8) & (ratio < 1.25)), ratio
+    np.testing.assert_allclose(np.mean(standard, axis=0), np.sqrt(np.diag(bound)), rtol=0.05)
+    covered = np.mean(np.abs(deviations) < 1.96 * standard)
+    assert 0.92 < covered < 0.98, covered
+
+
+def test_offset_and_start_in_motion_cost_nothing():
+    plain, moved = [], []
+    for seed in range(5):
+        plain.append(errors_of(identify(record_of(seed), refine=False)))
+        record = record_of(seed, offset=0.01, x0=[0.01, -0.02, 0.05, 0.1])
+        moved.append(errors_of(identify(record, refine=False)))
+    assert np.all(np.median(moved, axis=0) < 1.3 * np.median(plain, axis=0))
+
+
+def test_missing_samples_cost_only_what_is_missing():
+    found, norms = [], []
+    for seed in range(6):
+        record = record_of(seed)
+        kept = np.random.default_rng(seed).random(record.y.shape) > 0.1
+        J = sensitivities(record.u)
+        norms.append(np.sqrt(np.diag(bound_of(J, kept=kept))))
+        holes = identify(Record(record.u, np.where(kept, record.y, np.nan), H))
+        truth = np.concatenate([X[(0, 0, 1), (0, 1, 1)] for X in TRUTH])
+        found.append((entries(holes) - truth) / norms[-1])
+        np.testing.assert_allclose(np.sqrt(np.diag(holes.covariance)), norms[-1], rtol=0.1)
+    assert np.sqrt(np.mean(np.square(found))) < 1.3
+
+
+def test_two_records_serve_as_one():
+    pair = [record_of(1), record_of(2)]
+    both = identify(pair, validation=record_of(3))
+    alone = identify(pair[0])
+    assert np.all(np.diag(both.covariance) < 0.75 * np.diag(alone.covariance))
+    truth = np.concatenate([X[(0, 0, 1), (0, 1, 1)] for X in TRUTH])
+    assert np.max(np.abs(entries(both) - truth) / np.sqrt(np.diag(both.covariance))) < 4
+    assert min(both.fit_percent["validation"].values()) > 95
+
+
+@pytest.mark.parametrize(("su", "sy", "st"), [(1e6, 1, 1), (1, 1e-6, 1), (1, 1, 1e3), (1, 1, 1e-3)])
+def test_units_do_not_matter(su, sy, st):
+    record = record_of(4)
+    plain = identify(record)
+    found = identify(Record(record.u * su, record.y * sy, H * st))
+    back = (found.mass / su * sy / st**2, found.damping / su * sy / st, found.stiffness / su * sy)
+    assert data.relative_errors(back, (plain.mass, plain.damping, plain.stiffness)).max() < 1e-6
+
+
+def test_innovations_form_pays_under_process_noise():
+    plain, better = [], []
+    for seed in range(4):
+        w = 0.05 * np.random.default_rng(50 + seed).standard_normal((SAMPLES, 2))
+        record = record_of(seed, w=w)
+        simple = identify(record)
+        plain.append(errors_of(simple))
+        found = identify(record, noise="innovations")
+        better.append(errors_of(found))
+        assert found.noise["form"] == "innovations"
+        assert any("not white" in text for text in simple.warnings)
+    assert np.all(np.mean(better, axis=0) < np.mean(plain, axis=0))
+
+
+K_FREE = np.array([[40.0, -40.0], [-40.0, 40.0]])
+D_SINGULAR = np.array([[2.0, -2.0], [-2.0, 2.0]])
+
+
+@pytest.mark.parametrize(
+    ("truth", "said"),
+    [
+        ((TRUTH[0], TRUTH[1], K_FREE), "stiffness is singular"),
+        ((TRUTH[0], D_SINGULAR, TRUTH[2]), "damping is singular"),
+    ],
+    ids=["rigid body", "undamped mode"],
+)
+def test_truth_on_the_edge(truth, said):
+    found = identify(record_of(5, noise=0.0, truth=truth))
+    assert errors_of(found, truth).max() < 1e-6
+    assert any(said in text for text in found.warnings), found.warnings
+    assert np.all(np.isfinite(found.covariance))
+
+
+def test_start_on_the_edge_with_a_regular_truth():
+    from jax import numpy as jnp
+    from jaxgray.identification.prediction import Batch, Setting
+    from jaxgray.identification.preparation import prepare, scaling_of
+    from jaxgray.identification.refine import refine
+
+    record = record_of(6, noise=0.0)
+    scaling = scaling_of([record])
+    model = MechanicalModel(*TRUTH)
+    setting = Setting(
+        model.drive.scaled(scaling.coordinates, scaling.inputs, H), record.measured, record.hold
+    )
+    M, D, K = scaling.matrices_in(*(jnp.asarray(X) for X in TRUTH))
+    rank_one = [jnp.outer(X[:, 0], X[:, 0]) / X[0, 0] for X in (D, K)]
+    end = refine((1.1 * M, *rank_one), Batch.of([prepare(record, scaling)]), setting)
+    assert data.relative_errors(scaling.matrices_out(end.mass, end.damping, end.stiffness), TRUTH).max() < 1e-6
+
+
+def test_short_noisy_records_stay_physical():
+    rng = np.random.default_rng(0)
+    for seed in range(20):
+        record = record_of(seed, samples=400, noise=0.02 * rng.uniform(0.5, 1.5))
+        found = identify(record)
+        assert np.linalg.eigvalsh(found.mass)[0] > 0
+        for X in (found.damping, found.stiffness):
+            values = np.linalg.eigvalsh(X)
+            assert values[0] >= -1e-9 * values[-1]
+
+
+def test_one_input_moves_two_coupled_coordinates():
+    E = np.array([[1.0], [0.0]])
+    found = identify(record_of(7, E=E))
+    truth = np.concatenate([X[(0, 0, 1), (0, 1, 1)] for X in TRUTH])
+    assert np.max(np.abs(entries(found) - truth) / np.sqrt(np.diag(found.covariance))) < 4.5
+
+
+def test_fixed_entries_and_structure():
+    truth = (np.diag([4.0, 1.0]), 0.02 * TRUTH[0] * 0 + np.diag([3.0, 0.8]), np.array([[120.0, -40.0], [-40.0, 90.0]]))
+    record = record_of(8, truth=truth)
+    free = identify(record)
+    fixed = identify(record, fix="mass[0,0]=4,mass[0,1]=0")
+    assert fixed.mass[0, 0] == 4.0 and fixed.mass[0, 1] == 0.0
+    assert fixed.standard_errors["mass"][0, 0] == 0.0
+    assert np.all(fixed.standard_errors["stiffness"] < free.standard_errors["stiffness"])
+    formed = identify(record, structure=("diagonal-mass", "chain"))
+    assert formed.mass[0, 1] == 0.0
+    assert errors_of(formed, truth).max() < 0.02
+    proportional = (TRUTH[0], 0.3 * TRUTH[0] + 0.01 * TRUTH[2], TRUTH[2])
+    found = identify(record_of(9, truth=proportional), structure="modal-damping")
+    assert errors_of(found, proportional)[1] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"weight": "moseb"}, "weight='moseb'.*choose from"),
+        ({"map": "bilinear"}, "map='bilinear'"),
+        ({"structure": "sparse"}, "structure='sparse'"),
+        ({"fix": "stiffness[0;1]=0"}, "not understood"),
+        ({"fix": "stiffness[0,5]=0"}, "outside a model of 2"),
+        ({"input_map": "u1:y1"}, "no coordinate for u2"),
+        ({"input_map": "u1:y1,u2:y7"}, "no coordinate 'y7'"),
+        ({"excitation": "hammer"}, "excitation='hammer'"),
+        ({"noise": "pink"}, "noise='pink'"),
+        ({"time_constants": -1.0}, "time_constants"),
+        ({"block_rows": 2}, "block_rows"),
+    ],
+)
+def test_wrong_arguments_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        identify(record_of(0), **options)
+
+
+def test_records_that_cannot_serve_are_named_failures():
+    record = record_of(0)
+    rng = np.random.default_rng(0)
+    cases = {
+        "is constant": Record(np.ones_like(record.u), record.y, H),
+        "do not determine displacements": Record(record.u, record.y[:, [0, 0]], H),
+        "too short": Record(rng.standard_normal((20, 2)), record.y[:20], H),
+        "does not reach coordinate y2": Record(
+            record.u[:, :1],
+            np.stack([record.y[:, 0], NOISE * rng.standard_normal(SAMPLES)], axis=1),
+            H,
+        ),
+    }
+    for message, bad in cases.items():
+        with pytest.raises((ComputationError, ValueError), match=message):
+            identify(bad)
+
+
+def test_64_bit_floats_are_asked_for():
+    import jax
+
+    record = record_of(0)
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(ValueError, match="jax_enable_x64"):
+            identify(record)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+def test_result_can_be_read():
+    found = identify(record_of(10), validation=record_of(11))
+    text = repr(found)
+    assert "±" in text and "fit on validation" in text
+    assert set(found.fit_percent) == {"estimation", "validation"}
+    assert found.structure_test.fits and found.residual_test.white
+    assert found.covariance.shape == (9, 9)
+    assert not found.warnings, found.warnings

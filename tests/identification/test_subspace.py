@@ -1,0 +1,138 @@
+"""The subspace start without noise: exact for every hold, measured quantity, weight and choice of τ and i."""
+
+import independent as data
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxgray import Record, identify, sweep
+from jaxgray.identification.filter_bank import cascade, lambda_powers, lambda_shift, past_rows
+from jaxgray.identification.input_matrix import InputFit
+from jaxgray.identification.physical import from_inverse_mass, jointly
+from jaxgray.identification.realization import Realization
+from jaxgray.numerics.positive import ClarabelSolver, ProjectedGradientSolver
+
+H = 0.01
+MIXED = ("displacement", "velocity", "acceleration")
+CASES = [
+    (2, hold, measured, "moesp")
+    for hold in ("zero", "linear")
+    for measured in ("displacement", "velocity", "acceleration", MIXED[:2])
+]
+CASES += [(2, "zero", MIXED[1:], weight) for weight in ("n4sid", "cva", "past-inputs")]
+CASES += [(1, "zero", "displacement", "moesp"), (3, "linear", MIXED, "moesp")]
+
+
+def noise_free(n, hold, measured, seed=0):
+    rng = np.random.default_rng(seed + n)
+    M, D, K = data.random_system(rng, n)
+    u = data.random_steps(rng, 3000, n, H, (0.1, 1.0)) if hold == "zero" else data.smooth_noise(rng, 3000, n)
+    x0 = rng.standard_normal(2 * n) * np.repeat([0.01, 0.1], n)
+    y = data.simulate(M, D, K, u, H, hold=hold, measured=measured, x0=x0) + 0.01
+    return (M, D, K), Record(u, y, H, hold=hold, measured=measured)
+
+
+@pytest.mark.parametrize(("n", "hold", "measured", "weight"), CASES)
+def test_noise_free_record_gives_the_truth(n, hold, measured, weight):
+    truth, record = noise_free(n, hold, measured)
+    table = sweep(record, [0.01, 0.05, 0.3], [4, 8], weight=weight)
+    for k in np.ndindex(3, 2):
+        found = (table.mass[k], table.damping[k], table.stiffness[k])
+        assert data.relative_errors(found, truth).max() < 1e-7, (table.time_constants[k[0]], table.block_rows[k[1]])
+
+
+def test_input_matrix_from_the_record_and_slow_filters():
+    truth, record = noise_free(2, "zero", "displacement")
+    for way in ("record", "factor"):
+        found = identify(record, refine=False, time_constants=1.0, block_rows=4, input_matrix_from=way)
+        assert found.start.method == "subspace"
+        assert data.relative_errors((found.mass, found.damping, found.stiffness), truth).max() < 1e-7
+
+
+def test_paper_map_is_the_limit_of_the_exact_one():
+    errors = []
+    for h in (0.01, 0.001):
+        rng = np.random.default_rng(0)
+        truth = data.random_system(rng, 2)
+        u = data.random_steps(rng, 6000, 2, h, (0.2, 1.0))
+        record = Record(u, data.simulate(*truth, u, h), h)
+        found = identify(record, refine=False, map="paper", time_constants=0.05, block_rows=4)
+        errors.append(data.relative_errors((found.mass, found.damping, found.stiffness), truth).max())
+    assert errors[1] < 0.3 * errors[0]
+    assert errors[0] > 1e-3
+
+
+def test_multiplication_by_lambda_is_bidiagonal():
+    a, size = jnp.asarray(0.8), 6
+    A, b = cascade(a, size)
+    x = np.random.default_rng(0).standard_normal(200)
+    family = np.zeros((200, size + 1))
+    family[:, 0] = x
+    for k in range(199):
+        family[k + 1, 1:] = A @ family[k, 1:] + b * x[k]
+    filtered = np.zeros_like(family)
+    for k in range(199):
+        filtered[k + 1] = a * filtered[k] + (1 - a) * family[k]
+    np.testing.assert_allclose(filtered[:, :size], family @ lambda_shift(a, size).T, atol=1e-13)
+
+
+def test_past_rows_span_the_powers():
+    a = jnp.asarray(0.9)
+    powers = np.asarray(lambda_powers(a, 12))[4:8]
+    rows = np.asarray(past_rows(a, 4, 4, 6, 12))
+    np.testing.assert_allclose(rows @ rows.T, np.diag([1, 1, 1, 1, 0, 0]), atol=1e-12)
+    np.testing.assert_allclose(powers @ rows.T @ rows, powers, atol=1e-12)
+
+
+def problem_at(M, D, K, B2, seed=0):
+    """Realisation and least squares for B₂ of a system, time counted in samples of 0.05."""
+    h = 0.05
+    A21, A22 = -np.linalg.solve(M, K) * h**2, -np.linalg.solve(M, D) * h
+    rng = np.random.default_rng(seed)
+    factor = rng.standard_normal((12, 4))
+    eye = jnp.eye(4)
+    realization = Realization(jnp.asarray(A21), jnp.asarray(A22), eye, eye[:2], jnp.ones(()), jnp.ones(4))
+    return realization, InputFit(jnp.asarray(factor), jnp.asarray(factor @ (B2 * h**2).ravel()))
+
+
+@pytest.mark.parametrize("indefinite", [False, True])
+def test_twins_give_the_same_model(indefinite):
+    M, D, K = (X.copy() for X in data.REFERENCE.values())
+    if indefinite:
+        D = np.array([[1.0, 2.0], [2.0, 1.0]])
+    realization, fit = problem_at(M, D, K, np.linalg.inv(M))
+    exact = from_inverse_mass(realization, fit, jnp.eye(2), ClarabelSolver())
+    traced = jax.jit(lambda r, f: from_inverse_mass(r, f, jnp.eye(2), ProjectedGradientSolver()))(realization, fit)
+    assert data.relative_errors(traced, [np.asarray(X) for X in exact]).max() < 1e-6
+    assert np.linalg.eigvalsh(np.asarray(exact[1]))[0] > -1e-9
+    if not indefinite:
+        joint, reach = jointly(realization, (jnp.asarray(np.linalg.inv(M) * 0.05**2), jnp.eye(2)), ClarabelSolver())
+        assert reach > 1e-6
+        assert data.relative_errors(joint, [np.asarray(X) for X in exact]).max() < 1e-9
+
+
+def test_gradient_at_repeated_eigenvalues():
+    """M = I, K = kI: the cone projections meet repeated eigenvalues, where eigenvectors have no derivative."""
+    eye = np.eye(2)
+    realization, fit = problem_at(eye, 0.5 * eye, 40 * eye, eye)
+    weights = np.random.default_rng(1).standard_normal((3, 2, 2))
+    direction = np.random.default_rng(2).standard_normal((2, 2)) * 1e-3
+
+    def value(change):
+        moved = Realization(
+            realization.A21 + change,
+            realization.A22 - change,
+            realization.A_lambda,
+            realization.C_lambda,
+            realization.basis_condition,
+            realization.singular_values,
+        )
+        M, D, K = from_inverse_mass(moved, fit, jnp.eye(2), ProjectedGradientSolver())
+        return sum(jnp.sum(w * X) for w, X in zip(weights, (M * 0.05**2, D, K)))
+
+    zero = jnp.zeros((2, 2))
+    step = 1e-4
+    numerical = (value(step * direction) - value(-step * direction)) / (2 * step)
+    gradient = jax.grad(value)(zero)
+    assert np.all(np.isfinite(gradient))
+    assert np.isclose(np.sum(gradient * direction), numerical, rtol=1e-5)
