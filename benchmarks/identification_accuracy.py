@@ -49,7 +49,7 @@ def bound(u, *, noise=data.REFERENCE_NOISE, kept=None, records=None):
     Sensitivities by central differences of the independent simulator.
     """
     information = 0.0
-    for k, inputs in enumerate(records or [u]):
+    for inputs in records or [u]:
         columns = []
         for matrix in range(3):
             for r, c in ((0, 0), (0, 1), (1, 1)):
@@ -137,8 +137,7 @@ def row_offset(seeds):
 
 def row_missing(seeds):
     result = {}
-    u0, _, _ = data.reference_record(0)
-    errors, coverage, norms = [], [], []
+    errors, norms = [], []
     for seed in range(seeds):
         u, y, _ = data.reference_record(seed)
         kept = np.random.default_rng(1000 + seed).random(y.shape) > 0.1
@@ -193,7 +192,9 @@ def row_manipulator(seeds):
         y = data.simulate(M, D, K, u, 1e-4)
         y = y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
         found = jaxgray.identify(jaxgray.Record(u, y, 1e-4))
-        values = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(found.mass, found.stiffness)).real)) / 2 / np.pi
+        values = (
+            np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(found.mass, found.stiffness)).real)) / 2 / np.pi
+        )
         worst.append(np.max(np.abs(values / target - 1)))
     print(f"micro manipulator: worst frequency error {100 * max(worst):.4f} % (bar 0.1 %)", flush=True)
     return {"worst_percent": 100 * max(worst)}
@@ -268,7 +269,6 @@ def row_indefinite(seeds):
     count = max(seeds, 10) * 10
     indefinite = unconstrained = 0
     ours, theirs = [], []
-    from jaxgray.numerics.positive import PositiveLeastSquares  # noqa: F401
 
     for seed in range(count):
         rng = np.random.default_rng(seed)
@@ -290,7 +290,11 @@ def row_indefinite(seeds):
     )
     show("    median error", np.median(ours, axis=0))
     show("    unconstrained median error", np.median(theirs, axis=0))
-    return {"indefinite": indefinite, "unconstrained": unconstrained, "ratio": np.median(ours, 0) / np.median(theirs, 0)}
+    return {
+        "indefinite": indefinite,
+        "unconstrained": unconstrained,
+        "ratio": np.median(ours, 0) / np.median(theirs, 0),
+    }
 
 
 def unconstrained_fit(u, y, h, start):

@@ -5,6 +5,8 @@ import pathlib
 import tempfile
 
 os.environ.setdefault("NPROC", "4")
+# Cached binaries are announced at length on the terminal otherwise.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
 

@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from ..numerics.linear_algebra import from_symmetric_vector, symmetric_vector
-from ..numerics.outcomes import ComputationError
+from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares
 from .prediction import Batch, Nuisance, Setting, prediction_errors
 from .structure import Structure
@@ -153,6 +153,10 @@ def conic_steps(
     solver = ClarabelSolver()
     damping, decrement, converged = 0.0, np.inf, False
     normal = equations(blocks, nuisance, whitening)
+    if not np.all(np.isfinite(np.asarray(normal.information))):
+        raise ComputationError(
+            RESULTS.refinement_diverged, stage="refinement", detail="its start is not finite"
+        )
     steps = 0
     while steps < max_steps and damping < 1e8 and not converged:
         steps += 1
@@ -174,8 +178,13 @@ def conic_steps(
             damping = max(10 * damping, 1e-3)
             continue
         dn = -inner @ (g[entries:] + H[entries:, :entries] @ (dz * unit))
+        if not np.all(np.isfinite(dz)) or not np.all(np.isfinite(dn)):
+            damping = max(10 * damping, 1e-3)
+            continue
         variance = max(float(normal.cost) / count, 1e-300)
-        decrement = float(-(2 * slope @ dz + dz @ reduced @ dz) + g[entries:] @ inner @ g[entries:]) / variance
+        decrement = (
+            float(-(2 * slope @ dz + dz @ reduced @ dz) + g[entries:] @ inner @ g[entries:]) / variance
+        )
         flat, unravel = ravel_pytree(without_noise(nuisance))
         moved = unravel(flat + jnp.asarray(dn))
         trial_nuisance = Nuisance(moved.x0, moved.offset, nuisance.noise)

@@ -12,14 +12,14 @@ from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready
 from ..records import Record, check_compatible, preflight
 from .options import drive_of, fixed_entries, parse_fix, pick, with_known
-from .physical import Scaling
 from .prediction import Batch, Setting
 from .preparation import Signals, prepare, scaling_of
 from .projection import WEIGHTS
-from .realization import MAPS
 from .reach import check_reach
+from .realization import MAPS
 from .refine import refine as refine_model
 from .result import Identification, assess
+from .rigid import DRIFT, rigid_modes, windows, without_stiffness
 from .start import Start, filled, model_run, nearest_physical, regression_start, subspace_start
 from .structure import structure_of
 from .sweep import default_time_constants, usable_block_rows
@@ -116,7 +116,16 @@ def identify(
 
     def begin(data: list[Signals]) -> Start:
         return _start(
-            data, setting, records, scaling, time_constants, block_rows, weight, map, input_matrix_from, known,
+            data,
+            setting,
+            records,
+            scaling,
+            time_constants,
+            block_rows,
+            weight,
+            map,
+            input_matrix_from,
+            known,
             progress,
         )
 
@@ -127,6 +136,17 @@ def identify(
 
     M, D, K = (np.asarray(X) for X in nearest_physical(start.matrices))
     M, D, K = (with_known(X, known[name]) for X, name in ((M, "mass"), (D, "damping"), (K, "stiffness")))
+    whole = records
+    longest = max(r.samples for r in records)
+    if rigid_modes(start, longest) and np.max(start.deviation) > DRIFT and not entries:
+        records = windows(records)
+        signals = [prepare(r, scaling) for r in records]
+        form = without_stiffness(form, start, longest)
+        held = held[: sum(n * (n + 1) // 2 for n in form.sizes(drive.input_map.shape[0]))]
+        notes.append(
+            "A rigid body: stiffness is singular, and the free run over the whole record measures drift; the model "
+            f"is refined on {len(records)} windows of {records[0].duration:.3g} s."
+        )
     batch = Batch.of(signals)
     refinement = None
     if refine:
@@ -157,15 +177,29 @@ def identify(
         input_units=records[0].input_units,
         output_units=records[0].output_units,
     )
-    return assess(
-        model, records, held_out, setting, scaling, signals, batch, form, held, start, refinement, tuple(notes)
+    result = assess(
+        model,
+        records,
+        held_out,
+        setting,
+        scaling,
+        signals,
+        batch,
+        form,
+        held,
+        start,
+        refinement,
+        tuple(notes),
     )
+    return result if records is whole else result.judged_on(whole)
 
 
 def _as_records(record, name: str) -> list[Record]:
     records = [record] if isinstance(record, Record) else list(record)
     if not records or not all(isinstance(r, Record) for r in records):
-        raise ValueError(f"{name} must be a Record or a non-empty list of them; read a file with read_record.")
+        raise ValueError(
+            f"{name} must be a Record or a non-empty list of them; read a file with read_record."
+        )
     return records
 
 
@@ -192,7 +226,17 @@ def _grid(values, default, name: str) -> np.ndarray:
 
 
 def _start(
-    signals, setting, records, scaling, time_constants, block_rows, weight, map, input_matrix_from, known, progress
+    signals,
+    setting,
+    records,
+    scaling,
+    time_constants,
+    block_rows,
+    weight,
+    map,
+    input_matrix_from,
+    known,
+    progress,
 ) -> Start:
     """The better of the subspace and the regression start."""
     longest = max(records, key=lambda r: r.samples)

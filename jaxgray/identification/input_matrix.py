@@ -84,9 +84,7 @@ def fit_to_record(
     return InputFit(R[:, :-1], R[:, -1])
 
 
-def fit_to_factor(
-    realization: Realization, data: Data, *, measured: tuple[str, ...], hold: str
-) -> InputFit:
+def fit_to_factor(realization: Realization, data: Data, *, measured: tuple[str, ...], hold: str) -> InputFit:
     """The paper's step 6 in the Laguerre family: Γ^⊥ Y_f = Γ^⊥ H(B₂) U_f, without the record.
 
     With X_j the filtered states and 𝒜 = (A_d − aI)(I − aA_d)⁻¹, for j ≥ 1

@@ -57,9 +57,7 @@ class Setting(eqx.Module):
         return sampled(self.drive.state_space(M, D, K, self.measured, 1.0), 1.0, self.hold)
 
 
-def free_run(
-    system: StateSpace, batch: Batch, nuisance: Nuisance
-) -> Float[Array, "records samples outputs"]:
+def free_run(system: StateSpace, batch: Batch, nuisance: Nuisance) -> Float[Array, "records samples outputs"]:
     """Simulated outputs of every record, offset included."""
 
     def one(u, x0):

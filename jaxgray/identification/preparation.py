@@ -54,8 +54,7 @@ def scaling_of(records: list[Record]) -> Scaling:
                 raise ComputationError(
                     RESULTS.not_exciting,
                     stage="preparation",
-                    detail=f"{kind} {name!r} is constant"
-                    + ("" if len(column) == 0 else f" ({column[0]:g})"),
+                    detail=f"{kind} {name!r} is constant" + ("" if len(column) == 0 else f" ({column[0]:g})"),
                 )
     return Scaling.of(
         _size([r.u for r in records]),

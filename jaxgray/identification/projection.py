@@ -47,7 +47,11 @@ class Data(eqx.Module):
 
 
 def arrange(
-    factor: Float[Array, "columns columns"], a: Float[Array, ""], block_rows: Float[Array, ""], inputs: int, padded: int
+    factor: Float[Array, "columns columns"],
+    a: Float[Array, ""],
+    block_rows: Float[Array, ""],
+    inputs: int,
+    padded: int,
 ) -> Data:
     """Future and past from the factor.
 

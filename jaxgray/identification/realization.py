@@ -16,7 +16,9 @@ class AbstractMap(eqx.Module):
     """The way from A_λ, the system matrix in the λ-operator, to continuous time."""
 
     @abc.abstractmethod
-    def continuous(self, A_lambda: Float[Array, "states states"], a: Float[Array, ""]) -> Float[Array, "states states"]:
+    def continuous(
+        self, A_lambda: Float[Array, "states states"], a: Float[Array, ""]
+    ) -> Float[Array, "states states"]:
         """A·h: the continuous-time system matrix, time counted in samples."""
 
 

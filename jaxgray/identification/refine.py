@@ -141,7 +141,12 @@ def setting_dofs(setting: Setting) -> int:
 
 @eqx.filter_jit
 def residual_whitening(
-    blocks: list[Array], nuisance: Nuisance, batch: Batch, setting: Setting, structure: Structure, correlated: bool
+    blocks: list[Array],
+    nuisance: Nuisance,
+    batch: Batch,
+    setting: Setting,
+    structure: Structure,
+    correlated: bool,
 ) -> Float[Array, "outputs outputs"]:
     """Lower triangular W with W Σ Wᵀ = I for the covariance Σ of the free-run residual.
 
@@ -219,13 +224,17 @@ def refine(
                 W = residual_whitening(here, around, batch, setting, structure, correlated)
                 taken += int(steps)
             likelihood = float(jnp.sum(jnp.log(jnp.diag(W))))
-            if best is None or likelihood > best[0]:
+            if np.isfinite(likelihood) and (best is None or likelihood > best[0]):
                 best = likelihood, here, around, W
+        if best is None:
+            best = -np.inf, structure.blocks(*start, lift=LIFTS[-1]), nuisance, whitening
         _, blocks, nuisance, whitening = best
         if innovations:
             noisy = begin_nuisance(batch, setting, offset=offset, innovations=True)
             nuisance = eqx.tree_at(lambda n: n.noise, nuisance, noisy.noise, is_leaf=lambda x: x is None)
-            blocks, nuisance, steps = levenberg_marquardt(blocks, nuisance, whitening, batch, setting, structure)
+            blocks, nuisance, steps = levenberg_marquardt(
+                blocks, nuisance, whitening, batch, setting, structure
+            )
             taken += int(steps)
 
     def reweigh(blocks, nuisance):

@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from ..mechanics.drives import ORDER
 from ..mechanics.statespace import StateSpace, sampled
-from ..numerics.linear_algebra import duplication, from_symmetric_vector
 from ..numerics.lifting import free_response, respond
+from ..numerics.linear_algebra import duplication, from_symmetric_vector
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares
 from .physical import FLOOR
 from .preparation import Signals

@@ -1,5 +1,6 @@
 """The identification as one immutable result, and how it is put together."""
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import jax.numpy as jnp
@@ -27,6 +28,9 @@ from .validation import (
     residual_test,
     structure_test,
 )
+
+POOR_FIT = 80.0
+"""Fit [%] below which the result says that the model simulates poorly."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,15 @@ class Identification:
         """Root mean square residual per output, likewise."""
         return self._per_output("rmse")
 
+    def judged_on(self, records: list[Record]) -> "Identification":
+        """The same model with its fit on these records, instead of on the pieces it was estimated from."""
+        M, D, K = (jnp.asarray(X) for X in self.scaling.matrices_in(self.mass, self.damping, self.stiffness))
+        fits = tuple(
+            _fit((M, D, K), self.setting, self.scaling, r, prepare(r, self.scaling)) for r in records
+        )
+        warnings = dict.fromkeys(self.warnings + tuple(_fit_warnings(fits, self.model)))
+        return dataclasses.replace(self, records=tuple(records), estimation=fits, warnings=tuple(warnings))
+
     def _per_output(self, name: str) -> dict[str, dict[str, float]]:
         result = {}
         for kind, fits in (("estimation", self.estimation), ("validation", self.validation)):
@@ -153,12 +166,17 @@ def assess(
         if refinement.nuisance.noise is None and not tests.white:
             meat = _score_covariance(J, estimation, scaling, refinement, batch)
         spread = uncertainty(refinement, scaling, structure, fixed=held, meat=meat)
-        poles = np.clip(np.exp(-1.0 / (np.array([0.5, 2.0]) * start.time_constant / scaling.sampling_time)), 0.05, 0.995)
+        poles = np.clip(
+            np.exp(-1.0 / (np.array([0.5, 2.0]) * start.time_constant / scaling.sampling_time)), 0.05, 0.995
+        )
         found = structure_test(estimation[0].residual, J[0, : records[0].samples], records[0].u, poles)
         parameters = refinement.normal.information.shape[0]
         if refinement.nuisance.noise is not None:
             values = np.asarray(refinement.nuisance.noise)
-            noise = {"form": "innovations", "force_to_output_noise": np.abs(values[: batch.u.shape[2]]).tolist()}
+            noise = {
+                "form": "innovations",
+                "force_to_output_noise": np.abs(values[: batch.u.shape[2]]).tolist(),
+            }
         warnings += _warnings(refinement, spread, found, tests, model)
     warnings += _fit_warnings(estimation, model)
     residuals = np.concatenate([fit.residual for fit in estimation])
@@ -218,7 +236,9 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
         )
     result += [f"Parameter {name} does not move any output; fix it or excite it." for name in spread.unmoved]
     result += [f"Hardly determined by this record: {text}." for text in spread.weak_directions]
-    result += [f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge]
+    result += [
+        f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge
+    ]
     errors = spread.standard_errors()["mass"]
     for k, name in enumerate(model.output_names):
         if errors[k, k] > 0.5 * abs(float(model.mass[k, k])):
@@ -238,7 +258,9 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
             "noise='innovations' is more exact."
         )
     if tests.feedback:
-        result.append("The residual is correlated with future inputs: the record may come from a closed loop.")
+        result.append(
+            "The residual is correlated with future inputs: the record may come from a closed loop."
+        )
     return result
 
 
@@ -246,5 +268,5 @@ def _fit_warnings(estimation, model) -> list[str]:
     return [
         f"Poor fit at {name}: {fit:.1f} % on the estimation record."
         for name, fit in zip(model.output_names, estimation[0].fit_percent)
-        if not fit > 50
+        if not fit > POOR_FIT
     ]

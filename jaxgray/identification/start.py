@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..mechanics.drives import Force
-from ..numerics.linear_algebra import project_positive
 from ..numerics.lifting import free_response, respond
+from ..numerics.linear_algebra import project_positive
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver
 from ..records import Record

@@ -13,6 +13,9 @@ from jaxtyping import Array, Float
 
 from ..numerics.linear_algebra import project_positive
 
+SLOWEST = 1e-3
+"""Rate [rad/sample] that stands for a matrix that is zero: a start needs a size to move from."""
+
 LIFT = 1e-3
 """Smallest eigenvalue of a start, relative to its largest: Cholesky factors do not move off the edge."""
 
@@ -94,6 +97,19 @@ class Proportional(AbstractAssembly):
         return [jnp.reshape(found[0], (1, 1)), jnp.reshape(found[1], (1, 1))]
 
 
+class Absent(AbstractAssembly):
+    """A matrix that is zero, such as the stiffness of a rigid body."""
+
+    def sizes(self, dofs):
+        return ()
+
+    def matrix(self, blocks, mass, stiffness):
+        return jnp.zeros_like(mass)
+
+    def blocks(self, matrix, mass, stiffness):
+        return []
+
+
 class Structure(eqx.Module):
     """Assemblies of M, D and K."""
 
@@ -116,29 +132,29 @@ class Structure(eqx.Module):
         first = len(self.mass.sizes(dofs))
         second = first + len(self.damping.sizes(dofs))
         M = self.mass.matrix(blocks[:first], None, None)
-        K = self.stiffness.matrix(blocks[second:], None, None)
+        K = self.stiffness.matrix(blocks[second:], M, None)
         return M, self.damping.matrix(blocks[first:second], M, K), K
 
     def blocks(self, M: Array, D: Array, K: Array, *, lift: float = LIFT) -> list[Array]:
         """Blocks nearest to M, D, K, lifted off the edge of the cone.
 
-        **Arguments:** `M`, `D`, `K`; `lift`: smallest eigenvalue, relative to the largest of that block (for
-        1 × 1 blocks, of the matrix it belongs to).
+        **Arguments:** `M`, `D`, `K`, time in samples; `lift`: smallest eigenvalue, relative to the largest of the
+        matrix, or to that of a slow motion where the matrix is zero.
         """
+        inertia = jnp.linalg.norm(M, ord=2)
         result = []
-        for assembly, matrix in ((self.mass, M), (self.damping, D), (self.stiffness, K)):
+        for assembly, matrix, slowest in (
+            (self.mass, M, 1.0),
+            (self.damping, D, SLOWEST),
+            (self.stiffness, K, SLOWEST**2),
+        ):
+            natural = jnp.maximum(jnp.linalg.norm(matrix, ord=2), slowest * inertia)
+            if isinstance(assembly, Proportional):
+                natural = natural / jnp.maximum(inertia, jnp.linalg.norm(K, ord=2))
             for block in assembly.blocks(matrix, M, K):
-                size = jnp.linalg.norm(block, ord=2)
-                if block.shape[0] == 1:
-                    size = jnp.maximum(size, lift * _natural_size(assembly, M, D, K, matrix))
+                size = natural if block.shape[0] == 1 else jnp.maximum(jnp.linalg.norm(block, ord=2), natural)
                 result.append(lifted(block, lift * size))
         return result
-
-
-def _natural_size(assembly: AbstractAssembly, M: Array, D: Array, K: Array, matrix: Array) -> Array:
-    if isinstance(assembly, Proportional):
-        return jnp.linalg.norm(D) / jnp.maximum(jnp.linalg.norm(M), jnp.linalg.norm(K))
-    return jnp.linalg.norm(matrix, ord=2)
 
 
 def lifted(X: Float[Array, "n n"], floor: Float[Array, ""]) -> Float[Array, "n n"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.linear_algebra import from_triangle, triangle, triangle_vector
-from .conic import pseudo_inverse, join, part
+from .conic import join, part, pseudo_inverse
 from .physical import Scaling
 from .refine import Refinement
 from .structure import Structure
@@ -17,8 +17,12 @@ from .structure import Structure
 EDGE = 1e-6
 """Eigenvalue, relative to the largest of its matrix, below which a matrix counts as singular."""
 
-WEAK = 1e-8
-"""Relative eigenvalue of the scaled information below which a direction counts as not determined."""
+WEAK = 0.5
+"""Standard error, relative to the natural size of a parameter, above which a direction is hardly determined."""
+
+UNMOVED = 1e-3
+"""Change of all outputs together, in noise standard deviations, that a parameter makes by its whole size below
+which it is said not to move them."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,6 @@ def uncertainty(
         free[:entries] &= ~np.asarray(fixed, bool)
     H = H[np.ix_(free, free)]
     diagonal = np.diag(H)
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     inverse = pseudo_inverse(H)
     covariance = inverse * float(refinement.variance)
     if meat is not None:
@@ -101,21 +104,21 @@ def uncertainty(
     names = entry_names(dofs)
     result = transform @ full[:entries, :entries] @ transform.T
 
-    # The physical part, nuisance eliminated, in units of each parameter's own information.
+    # The physical part, nuisance eliminated, in units of each parameter's natural size and of the noise.
     count = int(free[:entries].sum())
     inner = pseudo_inverse(H[count:, count:])
     reduced = H[:count, :count] - H[:count, count:] @ inner @ H[count:, :count]
-    scaled = reduced / scale[:count, None] / scale[None, :count]
-    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    sizes = _natural_sizes(refinement.blocks)[free[:entries]]
+    scaled = reduced * sizes[:, None] * sizes[None, :] / max(float(refinement.variance), 1e-300)
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2) if count else (np.ones(1), np.eye(1))
     block_names = _block_entry_names(structure, dofs)
     kept_names = [name for name, keep in zip(block_names, free[:entries]) if keep]
+    strength = diagonal[:count] * sizes**2 / max(float(refinement.variance), 1e-300)
+    unmoved = tuple(name for name, moved in zip(kept_names, strength) if not moved > UNMOVED**2)
     weak = tuple(
-        _combination(vectors[:, k], kept_names) for k in range(count) if values[k] < WEAK * max(values[-1], 1e-300)
-    )
-    sizes = np.asarray(join(refinement.blocks))[free[:entries]]
-    effect = diagonal[:count] * sizes**2
-    unmoved = tuple(
-        name for name, moved in zip(kept_names, effect) if not moved > 1e-16 * max(np.max(effect), 1e-300)
+        _combination(vectors[:, k], kept_names)
+        for k in range(count)
+        if values[k] < 1 / WEAK**2 and np.max(strength[np.abs(vectors[:, k]) > 0.3], initial=0.0) > UNMOVED**2
     )
     return Uncertainty(
         (result + result.T) / 2,
@@ -126,6 +129,16 @@ def uncertainty(
         _edges(refinement, scaling),
         meat is not None,
     )
+
+
+def _natural_sizes(blocks: list[Array]) -> np.ndarray:
+    """√(X_rr X_cc) of every entry: what an entry could be, also where it is zero."""
+    sizes = []
+    for block in blocks:
+        rows, columns = triangle(block.shape[0])
+        diagonal = np.abs(np.diag(np.asarray(block)))
+        sizes.append(np.sqrt(diagonal[rows] * diagonal[columns]))
+    return np.concatenate(sizes)
 
 
 def _block_entry_names(structure: Structure, dofs: int) -> list[str]:
@@ -151,5 +164,7 @@ def _edges(refinement: Refinement, scaling: Scaling) -> tuple[str, ...]:
             if value <= EDGE * max(values[-1], 1e-300):
                 direction = vector * np.asarray(scaling.coordinates)
                 direction = direction / direction[np.argmax(np.abs(direction))]
-                found.append(f"{name} is singular in the direction [{', '.join(f'{v:.3g}' for v in direction)}]")
+                found.append(
+                    f"{name} is singular in the direction [{', '.join(f'{v:.3g}' for v in direction)}]"
+                )
     return tuple(found)

@@ -26,7 +26,9 @@ class Fit:
     rmse: Float[np.ndarray, " outputs"]
 
 
-def fit_of(measured: Float[np.ndarray, "samples outputs"], simulated: Float[np.ndarray, "samples outputs"]) -> Fit:
+def fit_of(
+    measured: Float[np.ndarray, "samples outputs"], simulated: Float[np.ndarray, "samples outputs"]
+) -> Fit:
     """`Fit` of simulated to measured outputs; missing samples do not count."""
     residual = measured - simulated
     centred = measured - np.nanmean(measured, axis=0)
@@ -62,7 +64,10 @@ def _correlation(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
 
 
 def residual_test(
-    residual: Float[np.ndarray, "samples outputs"], u: Float[np.ndarray, "samples inputs"], *, lags: int = LAGS
+    residual: Float[np.ndarray, "samples outputs"],
+    u: Float[np.ndarray, "samples inputs"],
+    *,
+    lags: int = LAGS,
 ) -> ResidualTest:
     """Whiteness and independence of the residual from the inputs.
 

@@ -115,7 +115,9 @@ class BaseAcceleration(AbstractDrive):
         return self.direction.shape[1]
 
     def scaled(self, coordinates, inputs, sampling_time):
-        return BaseAcceleration(self.direction * inputs[None, :] / coordinates[:, None] * sampling_time**2, self.relative)
+        return BaseAcceleration(
+            self.direction * inputs[None, :] / coordinates[:, None] * sampling_time**2, self.relative
+        )
 
     def check(self, dofs, measured):
         if not self.relative and any(kind != "acceleration" for kind in measured):

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..numerics.runtime import ready
 from .drives import ORDER, AbstractDrive, Force
 from .statespace import StateSpace
 
@@ -56,6 +57,7 @@ class MechanicalModel(eqx.Module):
         output_units=None,
         effects=(),
     ):
+        ready()
         self.mass = _matrix(mass, "mass")
         self.damping = _matrix(damping, "damping")
         self.stiffness = _matrix(stiffness, "stiffness")
@@ -90,7 +92,9 @@ class MechanicalModel(eqx.Module):
             ("output_units", dofs),
         ):
             if len(getattr(self, name)) != wanted:
-                raise ValueError(f"{name}={getattr(self, name)} has {len(getattr(self, name))} entries, not {wanted}.")
+                raise ValueError(
+                    f"{name}={getattr(self, name)} has {len(getattr(self, name))} entries, not {wanted}."
+                )
 
     @property
     def dofs(self) -> int:

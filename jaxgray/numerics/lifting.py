@@ -76,7 +76,9 @@ def lift(
 
 
 def block_starts(
-    transition: Float[Array, "states states"], drive: Float[Array, "blocks states"], x0: Float[Array, " states"]
+    transition: Float[Array, "states states"],
+    drive: Float[Array, "blocks states"],
+    x0: Float[Array, " states"],
 ) -> tuple[Float[Array, "blocks states"], Float[Array, " states"]]:
     """States at the start of every block of x⁺ = A x + drive, and the state after the last.
 

@@ -3,6 +3,7 @@
 import independent as data
 import numpy as np
 import pytest
+
 from jaxgray import ComputationError, MechanicalModel, Record, identify
 
 pytestmark = pytest.mark.xdist_group("identify")
@@ -72,7 +73,8 @@ def test_sixty_realisations_reach_the_cramer_rao_bound(bound):
     deviations, standard = np.array(deviations), np.array(standard)
     twice = np.tile([1.0, 2.0, 1.0], 3)
     ratio = np.sqrt(
-        (twice * np.mean(deviations**2, axis=0)).reshape(3, 3).sum(1) / (twice * np.diag(bound)).reshape(3, 3).sum(1)
+        (twice * np.mean(deviations**2, axis=0)).reshape(3, 3).sum(1)
+        / (twice * np.diag(bound)).reshape(3, 3).sum(1)
     )
     assert np.all((ratio > 0.8) & (ratio < 1.25)), ratio
     np.testing.assert_allclose(np.mean(standard, axis=0), np.sqrt(np.diag(bound)), rtol=0.05)
@@ -157,6 +159,7 @@ def test_truth_on_the_edge(truth, said):
 
 def test_start_on_the_edge_with_a_regular_truth():
     from jax import numpy as jnp
+
     from jaxgray.identification.prediction import Batch, Setting
     from jaxgray.identification.preparation import prepare, scaling_of
     from jaxgray.identification.refine import refine
@@ -170,7 +173,9 @@ def test_start_on_the_edge_with_a_regular_truth():
     M, D, K = scaling.matrices_in(*(jnp.asarray(X) for X in TRUTH))
     rank_one = [jnp.outer(X[:, 0], X[:, 0]) / X[0, 0] for X in (D, K)]
     end = refine((1.1 * M, *rank_one), Batch.of([prepare(record, scaling)]), setting)
-    assert data.relative_errors(scaling.matrices_out(end.mass, end.damping, end.stiffness), TRUTH).max() < 1e-6
+    assert (
+        data.relative_errors(scaling.matrices_out(end.mass, end.damping, end.stiffness), TRUTH).max() < 1e-6
+    )
 
 
 def test_short_noisy_records_stay_physical():
@@ -192,7 +197,11 @@ def test_one_input_moves_two_coupled_coordinates():
 
 
 def test_fixed_entries_and_structure():
-    truth = (np.diag([4.0, 1.0]), 0.02 * TRUTH[0] * 0 + np.diag([3.0, 0.8]), np.array([[120.0, -40.0], [-40.0, 90.0]]))
+    truth = (
+        np.diag([4.0, 1.0]),
+        0.02 * TRUTH[0] * 0 + np.diag([3.0, 0.8]),
+        np.array([[120.0, -40.0], [-40.0, 90.0]]),
+    )
     record = record_of(8, truth=truth)
     free = identify(record)
     fixed = identify(record, fix="mass[0,0]=4,mass[0,1]=0")

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from jaxgray import Record, identify, sweep
 from jaxgray.identification.filter_bank import cascade, lambda_powers, lambda_shift, past_rows
 from jaxgray.identification.input_matrix import InputFit
@@ -38,7 +39,10 @@ def test_noise_free_record_gives_the_truth(n, hold, measured, weight):
     table = sweep(record, [0.01, 0.05, 0.3], [4, 8], weight=weight)
     for k in np.ndindex(3, 2):
         found = (table.mass[k], table.damping[k], table.stiffness[k])
-        assert data.relative_errors(found, truth).max() < 1e-7, (table.time_constants[k[0]], table.block_rows[k[1]])
+        assert data.relative_errors(found, truth).max() < 1e-7, (
+            table.time_constants[k[0]],
+            table.block_rows[k[1]],
+        )
 
 
 def test_input_matrix_from_the_record_and_slow_filters():
@@ -102,11 +106,15 @@ def test_twins_give_the_same_model(indefinite):
         D = np.array([[1.0, 2.0], [2.0, 1.0]])
     realization, fit = problem_at(M, D, K, np.linalg.inv(M))
     exact = from_inverse_mass(realization, fit, jnp.eye(2), ClarabelSolver())
-    traced = jax.jit(lambda r, f: from_inverse_mass(r, f, jnp.eye(2), ProjectedGradientSolver()))(realization, fit)
+    traced = jax.jit(lambda r, f: from_inverse_mass(r, f, jnp.eye(2), ProjectedGradientSolver()))(
+        realization, fit
+    )
     assert data.relative_errors(traced, [np.asarray(X) for X in exact]).max() < 1e-6
     assert np.linalg.eigvalsh(np.asarray(exact[1]))[0] > -1e-9
     if not indefinite:
-        joint, reach = jointly(realization, (jnp.asarray(np.linalg.inv(M) * 0.05**2), jnp.eye(2)), ClarabelSolver())
+        joint, reach = jointly(
+            realization, (jnp.asarray(np.linalg.inv(M) * 0.05**2), jnp.eye(2)), ClarabelSolver()
+        )
         assert reach > 1e-6
         assert data.relative_errors(joint, [np.asarray(X) for X in exact]).max() < 1e-9
 
