@@ -98,7 +98,8 @@ def identify(
 
     progress.stage("preparing")
     scaling = scaling_of(records)
-    if not isinstance(drive, Force) and not any(name == "mass" for name, _, _ in entries):
+    normalised = not isinstance(drive, Force) and not any(name == "mass" for name, _, _ in entries)
+    if normalised:
         entries["mass", 0, 0] = 1.0
         notes.append(
             "Base excitation determines M⁻¹D and M⁻¹K only: the model is normalised to mass[0,0] = 1; give a mass "
@@ -135,6 +136,8 @@ def identify(
         start = begin(filled(records, scaling, runs))
 
     M, D, K = (np.asarray(X) for X in nearest_physical(start.matrices))
+    if normalised:
+        M, D, K = (X * known["mass"][0, 0] / M[0, 0] for X in (M, D, K))
     M, D, K = (with_known(X, known[name]) for X, name in ((M, "mass"), (D, "damping"), (K, "stiffness")))
     whole = records
     longest = max(r.samples for r in records)

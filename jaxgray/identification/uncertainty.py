@@ -123,12 +123,17 @@ def uncertainty(
     return Uncertainty(
         (result + result.T) / 2,
         names,
-        float(values[-1] / max(values[0], 1e-300)) if count else 1.0,
+        _condition(values) if count else 1.0,
         weak,
         unmoved,
         _edges(refinement, scaling),
         meat is not None,
     )
+
+
+def _condition(values: np.ndarray) -> float:
+    """Largest over smallest eigenvalue, infinite where the smallest is not positive."""
+    return float(values[-1] / values[0]) if values[0] > 1e-300 * max(values[-1], 1.0) else float("inf")
 
 
 def _natural_sizes(blocks: list[Array]) -> np.ndarray:

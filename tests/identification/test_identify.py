@@ -196,6 +196,44 @@ def test_one_input_moves_two_coupled_coordinates():
     assert np.max(np.abs(entries(found) - truth) / np.sqrt(np.diag(found.covariance))) < 4.5
 
 
+@pytest.mark.parametrize("fix", ["mass[0,0]=2,mass[0,1]=0,mass[1,1]=1", None], ids=["masses given", "not given"])
+def test_base_acceleration(fix):
+    M, D, K = np.diag([2.0, 1.0]), np.array([[1.2, -0.4], [-0.4, 0.9]]), np.array([[300.0, -120.0], [-120.0, 200.0]])
+    rng = np.random.default_rng(0)
+    u = data.smooth_noise(rng, SAMPLES, 1, 0.2)
+    y = data.simulate(M, D, K, u, 0.01, E=-M @ np.ones((2, 1)), hold="linear")
+    y = y + 1e-3 * y.std() * rng.standard_normal(y.shape)
+    record = Record(u, y, 0.01, hold="linear")
+    found = identify(record, excitation="base-acceleration", relative=True, fix=fix)
+    for X, truth, bar in ((found.damping, D, 0.03), (found.stiffness, K, 0.002)):
+        truth = np.linalg.solve(M, truth)
+        assert np.linalg.norm(np.linalg.solve(found.mass, X) - truth) < bar * np.linalg.norm(truth)
+    assert any("normalised" in text for text in found.warnings) == (fix is None)
+    if fix is None:
+        assert found.mass[0, 0] == 1.0
+    else:
+        np.testing.assert_array_equal(found.mass, M)
+    with pytest.raises(ValueError, match="absolute displacement"):
+        identify(record, excitation="base-acceleration", relative=False)
+
+
+def test_rigid_body_under_friction_is_said_to_be_one():
+    """A mass with Coulomb friction, pushed to and fro: no stiffness may be invented from its drift."""
+    rng = np.random.default_rng(0)
+    u = 5 * data.random_steps(rng, SAMPLES, 1, H, (0.1, 0.5))
+    x = np.zeros(2)
+    y = np.empty((SAMPLES, 1))
+    for k in range(SAMPLES):
+        y[k] = x[0]
+        for _ in range(20):
+            x = x + H / 20 * np.array([x[1], (u[k, 0] - 4 * x[1] - 1.0 * np.tanh(x[1] / 1e-3)) / 2.0])
+    found = identify(Record(u, y + 1e-5 * rng.standard_normal(y.shape), H))
+    # The travel is about 0.5 m under 5 N: a stiffness that mattered would be of the order of 10 N/m.
+    assert found.stiffness[0, 0] < 0.01
+    assert any("stiffness" in text for text in found.warnings), found.warnings
+    assert 1.0 < found.mass[0, 0] < 4.0
+
+
 def test_fixed_entries_and_structure():
     truth = (
         np.diag([4.0, 1.0]),
