@@ -266,7 +266,7 @@ BASE = (np.diag([2.0, 1.0]), np.array([[1.2, -0.4], [-0.4, 0.9]]), np.array([[30
 
 
 def row_base(seeds):
-    """Base acceleration, relative displacement: errors of M⁻¹D and M⁻¹K against their bound, with and without masses."""
+    """Base acceleration, relative displacement: errors of M⁻¹D and M⁻¹K, with and without known masses."""
     h, noise, r = 0.01, 2e-5, np.ones((2, 1))
     A22, A21 = (np.linalg.solve(BASE[0], X) for X in BASE[1:])
     errors = {"masses given": [], "masses not given": []}
@@ -316,6 +316,29 @@ def row_base(seeds):
         result[name] = np.sqrt(np.mean(np.square(errors[name]), 0)) / np.sqrt(np.mean(np.square(norms[name]), 0))
         print(f"base excitation, {name}: RMS error / bound of M⁻¹D, M⁻¹K {result[name].round(3)} (bar 1.1)", flush=True)
     return result
+
+
+def row_structure(seeds):
+    """How often the structure test rejects true M, D, K records, and records with a third mode."""
+    count = 10 * max(seeds, 2)
+    h, fired, failed = 0.01, {"true": 0, "third mode": 0}, 0
+    for seed in range(count):
+        for name, dofs in (("true", 2), ("third mode", 3)):
+            rng = np.random.default_rng(seed)
+            M, D, K = data.random_system(rng, dofs)
+            u = data.random_steps(rng, 4000, 2, h, (0.1, 1.0))
+            y = data.simulate(M, D, K, u, h, E=np.eye(dofs, 2))[:, :2]
+            y = y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
+            try:
+                found = jaxgray.identify(jaxgray.Record(u, y, h))
+            except jaxgray.ComputationError as error:
+                failed += 1
+                print(name, seed, error)
+                continue
+            fired[name] += not found.structure_test.fits
+    print(f"structure test fires on {fired['true']} of {count} true records (bar 2 %),", end=" ")
+    print(f"on {fired['third mode']} of {count} with a third mode (bar 95 %); {failed} failures", flush=True)
+    return fired | {"count": count, "failed": failed}
 
 
 def row_indefinite(seeds):

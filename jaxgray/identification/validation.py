@@ -151,7 +151,7 @@ def structure_test(
     poles: Float[np.ndarray, " poles"],
     *,
     orders: int = 12,
-    significance: float = 1e-3,
+    significance: float = 5e-3,
 ) -> StructureTest:
     """Score test of M, D, K against any other stable linear system driven by the inputs.
 
