@@ -50,21 +50,8 @@ def bound(u, *, noise=data.REFERENCE_NOISE, kept=None, records=None):
     """
     information = 0.0
     for inputs in records or [u]:
-        columns = []
-        for matrix in range(3):
-            for r, c in ((0, 0), (0, 1), (1, 1)):
-                step = 1e-4 * np.linalg.norm(TRUTH[matrix])
-                pair = []
-                for sign in (1, -1):
-                    changed = [X.copy() for X in TRUTH]
-                    changed[matrix][r, c] += sign * step
-                    changed[matrix][c, r] = changed[matrix][r, c]
-                    pair.append(data.simulate(*changed, inputs, H))
-                columns.append((pair[0] - pair[1]) / (2 * step))
-        nuisance = [data.simulate(*TRUTH, 0 * inputs, H, x0=x0) for x0 in np.eye(4)]
-        nuisance += [np.tile(row, (len(inputs), 1)) for row in np.eye(2)]
         mask = np.ones((len(inputs), 2)) if kept is None else kept
-        J = np.stack([(column * mask).ravel() for column in columns + nuisance], axis=1) / noise
+        J = (data.sensitivities(TRUTH, inputs, H) * mask[..., None]).reshape(-1, 15) / noise
         I = J.T @ J
         information = information + I[:9, :9] - I[:9, 9:] @ np.linalg.solve(I[9:, 9:], I[9:, :9])
     return np.linalg.inv(information)
@@ -236,21 +223,8 @@ def innovations_bound(u, force):
     S = C @ P @ C.T + R
     G = Ad @ P @ C.T @ np.linalg.inv(S)
     white = np.linalg.inv(np.linalg.cholesky(S))
-    columns = []
-    for matrix in range(3):
-        for r, c in ((0, 0), (0, 1), (1, 1)):
-            step = 1e-4 * np.linalg.norm(TRUTH[matrix])
-            pair = []
-            for sign in (1, -1):
-                changed = [X.copy() for X in TRUTH]
-                changed[matrix][r, c] += sign * step
-                changed[matrix][c, r] = changed[matrix][r, c]
-                pair.append(data.simulate(*changed, u, H))
-            columns.append((pair[0] - pair[1]) / (2 * step))
-    columns += [data.simulate(*TRUTH, 0 * u, H, x0=x0) for x0 in np.eye(4)]
-    columns += [np.tile(row, (len(u), 1)) for row in np.eye(2)]
     J = []
-    for column in columns:
+    for column in np.moveaxis(data.sensitivities(TRUTH, u, H), -1, 0):
         x = np.zeros(4)
         out = np.empty_like(column)
         for k, e in enumerate(column):

@@ -100,3 +100,24 @@ def reference_record(seed, *, samples=20000, noise=REFERENCE_NOISE, offset=0.0, 
 def relative_errors(found, truth):
     """Relative Frobenius error of each matrix."""
     return np.array([np.linalg.norm(np.asarray(a) - b) / np.linalg.norm(b) for a, b in zip(found, truth)])
+
+
+def sensitivities(truth, u, sampling_time):
+    """Derivatives of the outputs of a two-coordinate system by M, D, K (upper triangles), first state and offsets.
+
+    Central differences of `simulate`; samples × outputs × 15.
+    """
+    columns = []
+    for matrix in range(3):
+        for r, c in ((0, 0), (0, 1), (1, 1)):
+            step = 1e-4 * np.linalg.norm(truth[matrix])
+            pair = []
+            for sign in (1, -1):
+                changed = [X.copy() for X in truth]
+                changed[matrix][r, c] += sign * step
+                changed[matrix][c, r] = changed[matrix][r, c]
+                pair.append(simulate(*changed, u, sampling_time))
+            columns.append((pair[0] - pair[1]) / (2 * step))
+    columns += [simulate(*truth, 0 * u, sampling_time, x0=x0) for x0 in np.eye(4)]
+    columns += [np.tile(row, (len(u), 1)) for row in np.eye(2)]
+    return np.stack(columns, axis=-1)

@@ -13,7 +13,6 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.scipy.linalg as jsl
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -174,8 +173,3 @@ def padded_samples(samples: int) -> int:
     chunks = -(-samples // chunk)
     step = max(1, 2 ** max(0, int(np.log2(chunks)) - 3))
     return -(-chunks // step) * step * chunk
-
-
-def upper_solve(factor: Float[Array, "n n"], rhs: Array) -> Array:
-    """Solution of factorᵀ x = rhs for an upper triangular factor."""
-    return jsl.solve_triangular(factor, rhs, trans=1)
