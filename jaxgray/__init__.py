@@ -1,9 +1,11 @@
-"""Physical mass, damping and stiffness matrices from measured force and motion."""
+"""Physical mass, damping and stiffness from measured force and motion, and what a simulation with them gets wrong."""
 
 import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .diagnosis.diagnose import diagnose as diagnose
+    from .diagnosis.result import Diagnosis as Diagnosis
     from .identification import Identification as Identification
     from .identification import Sweep as Sweep
     from .identification import identify as identify
@@ -11,6 +13,7 @@ if TYPE_CHECKING:
     from .mechanics.drives import BaseAcceleration as BaseAcceleration
     from .mechanics.drives import BaseDisplacement as BaseDisplacement
     from .mechanics.drives import Force as Force
+    from .mechanics.effects import CATALOGUE as CATALOGUE
     from .mechanics.model import MechanicalModel as MechanicalModel
     from .mechanics.statespace import StateSpace as StateSpace
     from .numerics.outcomes import RESULTS as RESULTS
@@ -19,14 +22,20 @@ if TYPE_CHECKING:
     from .records import RecordWarning as RecordWarning
     from .records import preflight as preflight
     from .records import read_record as read_record
+    from .report.export import load as load
+    from .report.export import save as save
 
 _HOMES = {
+    "diagnosis.diagnose": ("diagnose",),
+    "diagnosis.result": ("Diagnosis",),
     "identification": ("Identification", "Sweep", "identify", "sweep"),
     "mechanics.drives": ("BaseAcceleration", "BaseDisplacement", "Force"),
+    "mechanics.effects": ("CATALOGUE",),
     "mechanics.model": ("MechanicalModel",),
     "mechanics.statespace": ("StateSpace",),
     "numerics.outcomes": ("RESULTS", "ComputationError"),
     "records": ("Record", "RecordWarning", "preflight", "read_record"),
+    "report.export": ("load", "save"),
 }
 __all__ = tuple(name for names in _HOMES.values() for name in names)  # noqa: PLE0604
 

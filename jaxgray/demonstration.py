@@ -1,106 +1,89 @@
-"""The paper's simulated system: known mass, damping and stiffness, found again from noisy records."""
+"""The paper's simulated system: known mass, damping, stiffness and a hidden effect, found from noisy records."""
 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Float
 from rich.console import Console
 
-from .identification import Identification, identify
+from .demonstration_effects import NOISE, SAMPLES, SAMPLING_TIME, TRUTH, Hidden, simulated
+from .diagnosis.diagnose import diagnose
+from .diagnosis.result import Diagnosis
+from .diagnosis.words import title_of, value_text
 from .identification.validation import fit_of
 from .numerics.progress import AbstractProgress
-from .records import Record, random_steps
+from .numerics.text import plus_minus
+from .records import Record
 from .report import terminal
 
-TRUTH = {
-    "mass": np.array([[5.0, -1.0], [-1.0, 1.0]]),
-    "damping": np.array([[5.0, -0.01], [-0.01, 1.0]]),
-    "stiffness": np.array([[100.0, -5.0], [-5.0, 100.0]]),
-}
 PUBLISHED = {"mass": 0.0303, "damping": 0.125, "stiffness": 0.00108}
 """Relative Frobenius errors that the paper reports for its method."""
-
-SAMPLING_TIME = 0.005
-SAMPLES = 20_000
-HOLD_TIMES = (0.5, 3.0)
-NOISE = 3e-4
 
 
 @dataclass(frozen=True)
 class Demonstration:
     """What was simulated and what was found.
 
-    `estimation`, `validation`: noisy records; `clean`: the validation outputs without noise; `result`;
-    `start`: mass, damping, stiffness of the subspace start; `seed`.
+    `estimation`, `validation`: noisy records; `clean`: the validation outputs without noise; `hidden`: effects that
+    the linear model lacks; `diagnosis`; `seed`.
     """
 
     estimation: Record
     validation: Record
     clean: Float[np.ndarray, "samples outputs"]
-    result: Identification
-    start: dict[str, Float[np.ndarray, "dofs dofs"]]
+    hidden: tuple[Hidden, ...]
+    diagnosis: Diagnosis
     seed: int
 
-    def errors(self, matrices: dict[str, np.ndarray]) -> dict[str, float]:
-        """Relative Frobenius errors ‖X − X_true‖/‖X_true‖ of mass, damping, stiffness."""
-        return {
-            name: float(np.linalg.norm(matrices[name] - true) / np.linalg.norm(true))
-            for name, true in TRUTH.items()
-        }
+    @property
+    def models(self) -> dict[str, dict[str, Float[np.ndarray, "dofs dofs"]]]:
+        """Mass, damping and stiffness of every model on the way, by what it is called."""
+        found = {}
+        if self.diagnosis.identification is not None and not self.hidden:
+            fitted = self.diagnosis.identification
+            start = fitted.scaling.matrices_out(*fitted.start.matrices)
+            found["subspace start"] = dict(zip(TRUTH, (np.asarray(X) for X in start)))
+        linear = "linear model" if self.hidden else "refined"
+        summaries = {linear: self.diagnosis.baseline, "extended model": self.diagnosis.extended}
+        for name, summary in summaries.items():
+            if summary is not None:
+                found[name] = {matrix: np.asarray(getattr(summary.model, matrix)) for matrix in TRUTH}
+        return found
 
     @property
-    def refined(self) -> dict[str, Float[np.ndarray, "dofs dofs"]]:
-        """Mass, damping and stiffness after refinement."""
-        return {name: getattr(self.result, name) for name in TRUTH}
+    def clean_fit_percent(self) -> dict[str, Float[np.ndarray, " outputs"]]:
+        """Fit of the free runs to the validation outputs without noise, by model; empty without such runs."""
+        runs = [c for c in self.diagnosis.curves if c.held_out and c.baseline.shape == self.clean.shape]
+        if not runs:
+            return {}
+        names = ["linear model"] + ([] if self.diagnosis.extended is None else ["extended model"])
+        fits = {}
+        for name, run in zip(names, (runs[0].baseline, runs[0].extended)):
+            known = np.all(np.isfinite(run), axis=1)
+            fits[name] = fit_of(self.clean[known], run[known]).fit_percent
+        return fits
 
-    @property
-    def clean_fit_percent(self) -> Float[np.ndarray, " outputs"]:
-        """Fit of the free run to the validation outputs without noise."""
-        return fit_of(self.clean, self.result.validation[0].simulated).fit_percent
 
-
-def simulated(rng: np.random.Generator, samples: int = SAMPLES) -> tuple[Record, np.ndarray]:
-    """A noisy record of the paper's system from rest, and its outputs without noise, by SciPy.
-
-    **Arguments:** `rng`; `samples`.
-
-    **Returns:** a `Record`, and the outputs.
-
-    **Reference:** Olofsson et al., equation (25) and the simulation that follows it.
-    """
-    M, D, K = TRUTH.values()
-    n = len(M)
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
-    B = np.vstack([np.zeros((n, n)), np.linalg.inv(M)])
-    C, none = np.eye(n, 2 * n), np.zeros((n, n))
-    system = scipy.signal.cont2discrete((A, B, C, none), SAMPLING_TIME)
-    u = random_steps(samples, n, SAMPLING_TIME, hold_times=HOLD_TIMES, rng=rng)
-    clean = scipy.signal.dlsim(system, u)[1]
-    y = clean + NOISE * rng.standard_normal(clean.shape)
-    units = {"input_units": ("N", "N"), "output_units": ("m", "m")}
-    return Record(u, y, SAMPLING_TIME, **units), clean
+def errors(matrices: dict[str, np.ndarray]) -> dict[str, float]:
+    """Relative Frobenius errors ‖X − X_true‖/‖X_true‖ of mass, damping, stiffness."""
+    return {name: float(np.linalg.norm(matrices[name] - true) / np.linalg.norm(true)) for name, true in TRUTH.items()}
 
 
 def demonstrate(
-    seed: int = 1, *, samples: int = SAMPLES, progress: AbstractProgress | None = None
+    effect: str = "coulomb_friction", seed: int = 1, *, samples: int = SAMPLES, progress: AbstractProgress | None = None
 ) -> Demonstration:
-    """Simulate an estimation and a validation record, and identify.
+    """Simulate an estimation and a validation record with a hidden effect, and diagnose.
 
-    **Arguments:** `seed` of inputs and noise; `samples` of each record; `progress`: silent by default.
+    **Arguments:** `effect`: id of what is hidden, "none" for nothing; `seed` of inputs and noise; `samples` of each
+    record; `progress`: silent by default.
 
     **Returns:** a `Demonstration`.
 
-    **Raises:** `ValueError` for a seed that is none.
+    **Raises:** `ValueError` for an effect that cannot be demonstrated, or a seed that is none.
     """
-    if seed < 0:
-        raise ValueError(f"seed={seed} is negative; give a whole number from 0.")
-    rng = np.random.default_rng(seed)
-    estimation, _ = simulated(rng, samples)
-    validation, clean = simulated(rng, samples)
-    result = identify(estimation, validation=validation, progress=progress)
-    start = (np.asarray(X) for X in result.scaling.matrices_out(*result.start.matrices))
-    return Demonstration(estimation, validation, clean, result, dict(zip(TRUTH, start)), seed)
+    estimation, validation, clean, hidden = simulated(effect, seed, samples)
+    found = diagnose(estimation, validation=validation, seed=seed, progress=progress)
+    return Demonstration(estimation, validation, clean, hidden, found, seed)
 
 
 def truth_document(made: Demonstration) -> dict:
@@ -112,34 +95,75 @@ def truth_document(made: Demonstration) -> dict:
         "sampling_time": SAMPLING_TIME,
         "samples": made.estimation.samples,
         "noise": NOISE,
-        "effects": [],
+        "effects": [
+            {"effect": one.effect, "location": one.location, "parameters": one.parameters} for one in made.hidden
+        ],
     }
 
 
 def show(out: Console, made: Demonstration, document: dict) -> None:
-    """Truth, start and refined model side by side, their errors beside the paper's, and the fits.
+    """The verdict, then truth beside finding: the hidden effect, mass, damping and stiffness, fits.
 
-    **Arguments:** `out`: where to; `made`; `document`: by `identification_document`.
+    **Arguments:** `out`: where to; `made`; `document`: by `diagnosis_document`.
     """
-    out.print(terminal.verdict(document), style="bold", soft_wrap=True)
-    errors = document["model"]["standard_errors"]
-    table = terminal.new_table("entry", "truth", "subspace start", "refined ± standard error")
+    out.print(document["sentence"], style="bold", soft_wrap=True)
+    _show_effects(out, made, document)
+    models = made.models
+    spread = document["baseline"]["model"]["standard_errors"], (document["extended"] or {}).get("model", {})
+    known = {"refined": spread[0], "linear model": spread[0], "extended model": spread[1].get("standard_errors")}
+    table = terminal.new_table("entry", "truth", *models)
     for name, true in TRUTH.items():
         for r, c in ((0, 0), (0, 1), (1, 1)):
-            table.add_row(
-                f"{name}[{r},{c}]",
-                f"{true[r, c]:g}",
-                f"{made.start[name][r, c]:.5g}",
-                terminal.plus_minus(float(made.refined[name][r, c]), errors[name][r][c]),
-            )
+            cells = []
+            for model, matrices in models.items():
+                error = known.get(model) and known[model][name][r][c]
+                cells.append(plus_minus(float(matrices[name][r, c]), error))
+            table.add_row(f"{name}[{r},{c}]", f"{true[r, c]:g}", *cells)
     out.print(table)
-    start, refined = made.errors(made.start), made.errors(made.refined)
     table = terminal.new_table("relative error ‖X − X_true‖/‖X_true‖", *TRUTH)
-    for title, values in (("subspace start", start), ("refined", refined), ("published", PUBLISHED)):
+    rows = {name: errors(matrices) for name, matrices in models.items()}
+    if not made.hidden:
+        rows["published"] = PUBLISHED
+    for title, values in rows.items():
         table.add_row(title, *(f"{values[name]:.3g}" for name in TRUTH))
     out.print(table)
-    table = terminal.new_table("fit on the validation record", *document["model"]["output_names"])
-    noisy = document["fit_percent"]["validation"].values()
-    table.add_row("to the noisy output", *(f"{v:.2f} %" for v in noisy))
-    table.add_row("to the output without noise", *(f"{v:.3f} %" for v in made.clean_fit_percent))
+    _show_fits(out, made, document)
+    terminal.show_warnings(out, document["warnings"])
+
+
+def _show_effects(out: Console, made: Demonstration, document: dict) -> None:
+    """What was hidden beside what was found of it, and what was found besides."""
+    names = made.estimation.output_names
+    findings = [one for one in document["findings"] if one["stage"] == "model"]
+    members = [(one, member) for one in findings for member in (one, *one["members"])]
+    table = terminal.new_table("hidden", "truth", "found ± standard error")
+    claimed = []
+    for truth in made.hidden:
+        match = next((m for m in members if (m[1]["effect"], m[1]["location"]) == (truth.effect, truth.location)), None)
+        if match is not None:
+            claimed.append(match[0])
+        title = title_of(truth.effect, truth.location, names)
+        for name, value in truth.parameters.items():
+            one = match and match[1]["parameters"].get(name)
+            text = "not found" if match is None else "–"
+            if one:
+                text = value_text(one["value"], one["standard_error"], one["unit"])
+            table.add_row(f"{title}: {name}", value_text(value, None), text)
+    if made.hidden:
+        out.print(table)
+    for one in findings:
+        if not any(one is other for other in claimed):
+            out.print(f"found without being there: {title_of(one['effect'], one['location'], names)}", soft_wrap=True)
+
+
+def _show_fits(out: Console, made: Demonstration, document: dict) -> None:
+    """Fits on the validation record, to what was measured and to what was really there."""
+    parts = {"refined" if not made.hidden else "linear model": "baseline", "extended model": "extended"}
+    table = terminal.new_table("fit on the validation record", *made.estimation.output_names)
+    for name, part in parts.items():
+        if document[part] is not None:
+            fits = document[part]["fit_percent"]["validation"].values()
+            table.add_row(f"{name} to the noisy output", *("–" if v is None else f"{v:.2f} %" for v in fits))
+    for name, fits in made.clean_fit_percent.items():
+        table.add_row(f"{name} to the output without noise", *(f"{v:.3f} %" for v in fits))
     out.print(table)

@@ -5,6 +5,8 @@ import pathlib
 import tempfile
 
 os.environ.setdefault("NPROC", "4")
+# The threads of BLAS and of jax would take the few cores from each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Cached binaries are announced at length on the terminal otherwise.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 

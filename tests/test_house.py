@@ -4,8 +4,9 @@ import pathlib
 import subprocess
 import sys
 
-import jaxgray
 import pytest
+
+import jaxgray
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 

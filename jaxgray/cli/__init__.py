@@ -3,6 +3,7 @@
 0 done, whatever the verdict; 2 wrong arguments or data; 3 the computation failed.
 """
 
+import os
 import sys
 import warnings
 
@@ -22,6 +23,8 @@ def main(argv: list[str] | None = None) -> int:
         argv = sys.argv[1:]
         if not sys.warnoptions and "--verbose" not in argv:
             warnings.simplefilter("ignore")
+    # Before NumPy is loaded: on few cores the threads of BLAS and of jax take them from each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .commands import app
 
     try:

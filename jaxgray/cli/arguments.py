@@ -50,12 +50,8 @@ def _option(*names: str, help: str, metavar: str | None = None):
 class File:
     """What is read, and how."""
 
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, mat, parquet or hdf5.")
-    ]
-    time: Annotated[
-        str | None, _option("--time", metavar="COLUMN", help="Time column (default: t or time).")
-    ] = None
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, mat, parquet or hdf5.")]
+    time: Annotated[str | None, _option("--time", metavar="COLUMN", help="Time column (default: t or time).")] = None
     sampling_time: Annotated[
         float | None, _option("--sampling-time", metavar="SECONDS", help="Instead of a time column.")
     ] = None
@@ -99,29 +95,23 @@ class Excitation:
             help="What the inputs are; base: kind by the unit.",
         ),
     ] = "force"
-    relative: Annotated[
-        bool, _option("--relative", help="Outputs are measured relative to a moving base.")
-    ] = False
+    relative: Annotated[bool, _option("--relative", help="Outputs are measured relative to a moving base.")] = False
     input_map: Annotated[
         str | None,
-        _option(
-            "--input-map", metavar="U1:Y1,U2:Y1-Y2", help="Where inputs act (default: input j on output j)."
-        ),
+        _option("--input-map", metavar="U1:Y1,U2:Y1-Y2", help="Where inputs act (default: input j on output j)."),
     ] = None
     time_constant: Annotated[
         str | None,
         _option("--time-constant", metavar="SECONDS,…", help="Time constants of the filter to try."),
     ] = None
-    block_rows: Annotated[
-        str | None, _option("--block-rows", metavar="I,…", help="Numbers of block rows to try.")
-    ] = None
+    block_rows: Annotated[str | None, _option("--block-rows", metavar="I,…", help="Numbers of block rows to try.")] = (
+        None
+    )
     weight: Annotated[
         str,
         _option("--weight", metavar="moesp|n4sid|cva|past-inputs", help="Weight of the projection."),
     ] = "moesp"
-    map: Annotated[
-        str, _option("--map", metavar="exact|paper", help="The way from the filter back to time.")
-    ] = "exact"
+    map: Annotated[str, _option("--map", metavar="exact|paper", help="The way from the filter back to time.")] = "exact"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,9 +120,7 @@ class Fitting:
 
     structure: Annotated[
         str | None,
-        _option(
-            "--structure", metavar="diagonal-mass,chain,modal-damping", help="Any of these, with commas."
-        ),
+        _option("--structure", metavar="diagonal-mass,chain,modal-damping", help="Any of these, with commas."),
     ] = None
     fix: Annotated[
         str | None, _option("--fix", metavar="TEXT", help="Known entries: 'stiffness[0,1]=0,mass[0,0]=5'.")
@@ -153,9 +141,7 @@ class Talk:
     """How much is said."""
 
     quiet: Annotated[bool, _option("--quiet", help="Print nothing but errors.")] = False
-    verbose: Annotated[bool, _option("--verbose", help="Print every stage, and the trace of an error.")] = (
-        False
-    )
+    verbose: Annotated[bool, _option("--verbose", help="Print every stage, and the trace of an error.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,9 +151,7 @@ class Output:
     json: Annotated[
         str | None, _option("--json", metavar="OUT", help="Write the result as JSON; - for the screen.")
     ] = None
-    figures: Annotated[Path | None, _option("--figures", metavar="DIR", help="Draw the figures, as PNG.")] = (
-        None
-    )
+    figures: Annotated[Path | None, _option("--figures", metavar="DIR", help="Draw the figures, as PNG.")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,9 +160,7 @@ class Spacing:
 
     spacing: Annotated[
         str,
-        _option(
-            "--spacing", metavar="logarithmic|linear", help="Of the time constants, where none are given."
-        ),
+        _option("--spacing", metavar="logarithmic|linear", help="Of the time constants, where none are given."),
     ] = "logarithmic"
 
 
@@ -186,9 +168,7 @@ class Spacing:
 class Simulating:
     """What `simulate` takes besides the file."""
 
-    model: Annotated[
-        Path, typer.Argument(metavar="MODEL.json", help="A model, or a result of identify or diagnose.")
-    ]
+    model: Annotated[Path, typer.Argument(metavar="MODEL.json", help="A model, or a result of identify or diagnose.")]
     inputs: Annotated[
         str | None, _option("--inputs", metavar="A,B", help="Columns of the inputs (default: the model's).")
     ] = None
@@ -202,15 +182,45 @@ class Simulating:
     out: Annotated[
         Path | None, _option("--out", metavar="CSV", help="Write time, measured, simulated and residual.")
     ] = None
-    json: Annotated[
-        str | None, _option("--json", metavar="OUT", help="Write fits as JSON; - for the screen.")
+    json: Annotated[str | None, _option("--json", metavar="OUT", help="Write fits as JSON; - for the screen.")] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosing:
+    """What `diagnose` takes besides the options of `identify`."""
+
+    model: Annotated[
+        Path | None,
+        _option("--model", metavar="MODEL.json", help="Judge this model instead of one fitted to the record."),
     ] = None
+    only: Annotated[
+        str | None, _option("--only", metavar="ID,…", help="Look for these effects only (jaxgray effects lists them).")
+    ] = None
+    exclude: Annotated[str | None, _option("--exclude", metavar="ID,…", help="Do not look for these effects.")] = None
+    max_effects: Annotated[int, _option("--max-effects", metavar="N", help="Add at most so many effects.")] = 4
+    seed: Annotated[int, _option("--seed", metavar="N", help="Of the random draws behind thresholds, intervals.")] = 0
+    experiment: Annotated[
+        Path | None,
+        _option("--experiment", metavar="OUT.csv", help="Write the input of the experiment that is proposed, if any."),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Listing:
+    """What `effects` takes."""
+
+    json: Annotated[str | None, _option("--json", metavar="OUT", help="Write the list as JSON; - for the screen.")] = (
+        None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demonstrating:
     """What `demo` takes."""
 
+    effect: Annotated[
+        str, _option("--effect", metavar="ID", help="What the simulated system hides; none for nothing.")
+    ] = "coulomb_friction"
     out: Annotated[
         Path | None, _option("--out", metavar="DIR", help="Write the records, the truth and the result.")
     ] = None

@@ -2,14 +2,13 @@
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 
 import typer
 
+from . import diagnosing
 from .arguments import (
     Channels,
-    Demonstrating,
     Excitation,
     File,
     Fitting,
@@ -17,17 +16,18 @@ from .arguments import (
     Simulating,
     Spacing,
     Talk,
-    numbers,
     takes_groups,
     words,
 )
+from .finishing import drawn, finish, subspace_options
 
 app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     no_args_is_help=False,
-    help="Mass, damping and stiffness of a mechanical system from measured force and motion.",
+    help="Mass, damping and stiffness of a mechanical system from measured force and motion, and what a model of it "
+    "gets wrong.",
 )
 
 
@@ -46,56 +46,6 @@ def _top(
     pass
 
 
-def _finish(
-    document: dict, show, talk: Talk, target: str | None, files: dict[Path, bytes], notes: list[str]
-) -> None:
-    """Write everything that was asked for, then say it; the reader's notes go to the error stream."""
-    from ..report import export, terminal
-
-    for path, content in files.items():
-        export._write_whole(content, path)
-    if target is not None and target != "-":
-        export.write_json(document, target)
-    if target == "-":
-        sys.stdout.write(json.dumps(export._plain(document, ""), allow_nan=False, indent=1) + "\n")
-        notes = document["warnings"]
-    elif not talk.quiet:
-        own = [text for text in document["warnings"] if text not in notes]
-        show(terminal.console(), document | {"warnings": own})
-    if not talk.quiet:
-        for text in notes:
-            print(f"warning: {' '.join(text.split())}", file=sys.stderr)
-
-
-def _drawn(folder: Path | None, result, names: tuple[str, ...]) -> dict[Path, bytes]:
-    """Figures as PNG, by the files they go to."""
-    if folder is None:
-        return {}
-    import io
-
-    from ..report import figures
-
-    folder.mkdir(parents=True, exist_ok=True)
-    files = {}
-    for name in names:
-        buffer = io.BytesIO()
-        getattr(figures, name)(result).savefig(buffer, format="png", dpi=150)
-        files[folder / f"{name}.png"] = buffer.getvalue()
-    return files
-
-
-def _subspace_options(excitation: Excitation) -> dict:
-    return {
-        "excitation": excitation.excitation,
-        "relative": excitation.relative,
-        "input_map": excitation.input_map,
-        "time_constants": numbers("--time-constant", excitation.time_constant),
-        "block_rows": numbers("--block-rows", excitation.block_rows, int),
-        "weight": excitation.weight,
-        "map": excitation.map,
-    }
-
-
 @app.command(short_help="Find mass, damping and stiffness, with error bars.")
 @takes_groups
 def identify(
@@ -107,7 +57,7 @@ def identify(
 
     files.check_holdout(channels)
     files.check_places(output.json)
-    options = _subspace_options(excitation)
+    options = subspace_options(excitation)
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
         progress.stage("reading")
@@ -131,22 +81,23 @@ def identify(
         )
         progress.stage("reporting")
         document = summary.identification_document(result, tuple(notes))
-        drawn = _drawn(output.figures, result, ("compare", "residuals", "bode"))
-    _finish(document, terminal.show_identification, talk, output.json, drawn, notes)
+        pictures = drawn(output.figures, "figures", ("compare", "residuals", "bode"), result)
+    finish(document, terminal.show_identification, talk, output.json, pictures, notes)
+
+
+app.command(short_help="Say what a model gets wrong, and why.")(diagnosing.diagnose)
 
 
 @app.command(short_help="Tabulate time constants and block rows of the start.")
 @takes_groups
-def sweep(
-    file: File, channels: Channels, excitation: Excitation, spacing: Spacing, output: Output, talk: Talk
-) -> None:
+def sweep(file: File, channels: Channels, excitation: Excitation, spacing: Spacing, output: Output, talk: Talk) -> None:
     """Try time constants and block rows of the subspace start, and tabulate what each explains."""
     from ..report import terminal
     from . import files
 
     files.check_holdout(channels)
     files.check_places(output.json)
-    options = _subspace_options(excitation)
+    options = subspace_options(excitation)
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
         progress.stage("reading")
@@ -160,8 +111,8 @@ def sweep(
 
         result = sweep(record, validation=validation, spacing=spacing.spacing, progress=progress, **options)
         document = summary.sweep_document(result, tuple(notes))
-        drawn = _drawn(output.figures, result, ("sweep_map",))
-    _finish(document, terminal.show_sweep, talk, output.json, drawn, notes)
+        pictures = drawn(output.figures, "figures", ("sweep_map",), result)
+    finish(document, terminal.show_sweep, talk, output.json, pictures, notes)
 
 
 @app.command(short_help="Run a model freely against a record.")
@@ -205,7 +156,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
         if simulating.out is not None:
             columns = files.simulation_columns(record, run)
             written[simulating.out] = files.columns_text(columns).encode()
-    _finish(document, terminal.show_simulation, talk, simulating.json, written, notes)
+    finish(document, terminal.show_simulation, talk, simulating.json, written, notes)
 
 
 class _Wanted:
@@ -225,34 +176,5 @@ def _hold_of(path: Path) -> str:
     return estimation[0].get("hold", "zero") if estimation else "zero"
 
 
-@app.command(short_help="Identify a simulated system of known truth.")
-@takes_groups
-def demo(demonstrating: Demonstrating, talk: Talk) -> None:
-    """Identify a simulated system of known mass, damping and stiffness, and compare."""
-    from ..report import terminal
-
-    with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
-        progress.stage("starting")
-        from .environment import prepare
-
-        prepare(verbose=talk.verbose)
-        from .. import demonstration
-        from ..report import export, summary
-        from . import files
-
-        made = demonstration.demonstrate(demonstrating.seed, progress=progress)
-        document = summary.identification_document(made.result)
-        written = {}
-        if demonstrating.out is not None:
-            folder = demonstrating.out
-            folder.mkdir(parents=True, exist_ok=True)
-            for name, record in (("estimation", made.estimation), ("validation", made.validation)):
-                text = files.columns_text(files.record_columns(record))
-                written[folder / f"{name}.csv"] = text.encode()
-    for path, content in written.items():
-        export._write_whole(content, path)
-    if demonstrating.out is not None:
-        export.write_json(demonstration.truth_document(made), demonstrating.out / "truth.json")
-        export.write_json(document, demonstrating.out / "result.json")
-    if not talk.quiet:
-        demonstration.show(terminal.console(), made, document)
+app.command(short_help="List the effects that a diagnosis can name.")(diagnosing.effects)
+app.command(short_help="Diagnose a simulated system of known truth.")(diagnosing.demo)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..records import Record, RecordWarning, read_record
-from .arguments import Channels, File, words
+from .arguments import Channels, Excitation, File, words
 
 
 def check_holdout(channels: Channels) -> None:
@@ -70,6 +70,49 @@ def read_pair(file: File, channels: Channels, notes: list[str]) -> tuple[Record,
     return record, None
 
 
+def own_model(path: Path, record: Record, excitation: Excitation, notes: list[str]):
+    """The user's own model, its channels those of the record.
+
+    **Arguments:** `path`: JSON with at least mass, damping and stiffness, or one of our files; `record`: gives names
+    and units, and with `excitation` the way the inputs enter where the file does not say; `notes`: is added to.
+
+    **Returns:** a `MechanicalModel`.
+
+    **Raises:** `ValueError` where the file cannot be read, or does not fit the record.
+    """
+    import dataclasses
+
+    from ..identification.options import drive_of
+    from ..report import export
+
+    model, given = export.load(path), export.given(path)
+    if model.dofs != record.outputs:
+        raise ValueError(f"{path}: the model has {model.dofs} coordinates, --outputs names {record.outputs}.")
+    if given["input_map"] or given["base"]:
+        if excitation.input_map is not None or excitation.excitation != "force":
+            raise ValueError(f"{path} says how the inputs enter; leave out --input-map and --excitation.")
+        drive = model.drive
+    else:
+        drive = drive_of(record, excitation.excitation, excitation.input_map, excitation.relative)
+    if drive.inputs != record.inputs:
+        raise ValueError(f"{path}: the model has {drive.inputs} inputs, --inputs names {record.inputs}.")
+    for kind in ("input_names", "output_names"):
+        mine, theirs = getattr(model, kind), getattr(record, kind)
+        if given[kind] and mine != theirs and set(mine) == set(theirs):
+            raise ValueError(f"{path} has {', '.join(mine)} in this order; name the columns in the same order.")
+    for kind in ("input_units", "output_units"):
+        for mine, theirs in zip(getattr(model, kind), getattr(record, kind)):
+            if given[kind] and mine and theirs and mine != theirs:
+                raise ValueError(f"{path} is in {mine}, the record in {theirs}; convert one of them.")
+    if given["measured"] and model.measured != record.measured:
+        wanted = ",".join(model.measured)
+        raise ValueError(f"{path} is for other outputs than the record's: give --measured {wanted}.")
+    if given["effects"]:
+        notes.append(f"{path}: only its mass, damping and stiffness are judged, not its {given['effects']} effects.")
+    names = {kind: getattr(record, kind) for kind in ("input_names", "output_names", "input_units", "output_units")}
+    return dataclasses.replace(model, drive=drive, measured=record.measured, **names)
+
+
 def check_places(*paths) -> None:
     """Raise `ValueError` for a file that could not be written, before time is spent on what goes into it."""
     for path in paths:
@@ -102,6 +145,12 @@ def record_columns(record: Record) -> dict[str, np.ndarray]:
     columns |= {header(n, u): x for n, u, x in zip(record.input_names, record.input_units, record.u.T)}
     columns |= {header(n, u): x for n, u, x in zip(record.output_names, record.output_units, record.y.T)}
     return columns
+
+
+def input_columns(record: Record, u: np.ndarray, sampling_time: float) -> dict[str, np.ndarray]:
+    """Time and inputs, headed as in a record."""
+    columns = {"time [s]": sampling_time * np.arange(len(u))}
+    return columns | {header(n, unit): x for n, unit, x in zip(record.input_names, record.input_units, u.T)}
 
 
 def simulation_columns(record: Record, simulated: np.ndarray) -> dict[str, np.ndarray]:

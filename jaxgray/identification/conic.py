@@ -154,9 +154,7 @@ def conic_steps(
     damping, decrement, converged = 0.0, np.inf, False
     normal = equations(blocks, nuisance, whitening)
     if not np.all(np.isfinite(np.asarray(normal.information))):
-        raise ComputationError(
-            RESULTS.refinement_diverged, stage="refinement", detail="its start is not finite"
-        )
+        raise ComputationError(RESULTS.refinement_diverged, stage="refinement", detail="its start is not finite")
     steps = 0
     while steps < max_steps and damping < 1e8 and not converged:
         steps += 1
@@ -182,9 +180,7 @@ def conic_steps(
             damping = max(10 * damping, 1e-3)
             continue
         variance = max(float(normal.cost) / count, 1e-300)
-        decrement = (
-            float(-(2 * slope @ dz + dz @ reduced @ dz) + g[entries:] @ inner @ g[entries:]) / variance
-        )
+        decrement = float(-(2 * slope @ dz + dz @ reduced @ dz) + g[entries:] @ inner @ g[entries:]) / variance
         flat, unravel = ravel_pytree(without_noise(nuisance))
         moved = unravel(flat + jnp.asarray(dn))
         trial_nuisance = Nuisance(moved.x0, moved.offset, nuisance.noise)

@@ -21,9 +21,7 @@ def pole(time_constant: Float[Array, ""], sampling_time: float) -> Float[Array, 
     return jnp.exp(-sampling_time / time_constant)
 
 
-def cascade(
-    a: Float[Array, ""], orders: int
-) -> tuple[Float[Array, "orders orders"], Float[Array, " orders"]]:
+def cascade(a: Float[Array, ""], orders: int) -> tuple[Float[Array, "orders orders"], Float[Array, " orders"]]:
     """State matrices of L_0 … L_{orders−1}; the states are the outputs.
 
     **Arguments:** `a`: filter pole; `orders`: number of filters.

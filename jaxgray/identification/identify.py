@@ -88,9 +88,7 @@ def identify(
     if noise not in ("output-error", "innovations"):
         raise ValueError(f"noise={noise!r} is not known; choose 'output-error' or 'innovations'.")
     if input_matrix_from not in ("best", "record", "factor"):
-        raise ValueError(
-            f"input_matrix_from={input_matrix_from!r} is not known; choose 'best', 'record' or 'factor'."
-        )
+        raise ValueError(f"input_matrix_from={input_matrix_from!r} is not known; choose 'best', 'record' or 'factor'.")
     weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
     drive = drive_of(records[0], excitation, input_map, relative)
     form = structure_of(structure)
@@ -200,9 +198,7 @@ def identify(
 def _as_records(record, name: str) -> list[Record]:
     records = [record] if isinstance(record, Record) else list(record)
     if not records or not all(isinstance(r, Record) for r in records):
-        raise ValueError(
-            f"{name} must be a Record or a non-empty list of them; read a file with read_record."
-        )
+        raise ValueError(f"{name} must be a Record or a non-empty list of them; read a file with read_record.")
     return records
 
 

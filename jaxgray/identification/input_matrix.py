@@ -34,9 +34,7 @@ def output_rows(
     return rows[picked], jnp.diag(accelerated)
 
 
-def unit_drives(
-    realization: Realization, measured: tuple[str, ...], hold: str
-) -> tuple[Array, Array, Array, Array]:
+def unit_drives(realization: Realization, measured: tuple[str, ...], hold: str) -> tuple[Array, Array, Array, Array]:
     """Sampled system driven by one unit entry of B₂ per coordinate.
 
     **Returns:** A_d, B̃ (states × dofs), C, D̃ (outputs × dofs); multiply B̃ and D̃ by B₂ for the true ones.

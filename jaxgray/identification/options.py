@@ -59,9 +59,7 @@ def parse_input_map(text: str, record: Record) -> np.ndarray:
             sign = -1.0
     if not np.all(np.any(E != 0, axis=0)):
         missing = [name for name, column in zip(record.input_names, E.T) if not np.any(column)]
-        raise ValueError(
-            f"input_map={text!r} gives no coordinate for {', '.join(missing)}; name one for each."
-        )
+        raise ValueError(f"input_map={text!r} gives no coordinate for {', '.join(missing)}; name one for each.")
     return E
 
 
@@ -82,9 +80,7 @@ def drive_of(record: Record, excitation, input_map, relative: bool) -> AbstractD
         matrix = np.atleast_2d(np.asarray(input_map, dtype=float))
     elif excitation == "force":
         if record.inputs > record.outputs:
-            raise ValueError(
-                f"{record.inputs} inputs act on {record.outputs} coordinates; say where with input_map."
-            )
+            raise ValueError(f"{record.inputs} inputs act on {record.outputs} coordinates; say where with input_map.")
         matrix = np.eye(record.outputs, record.inputs)
     else:
         matrix = np.ones((record.outputs, record.inputs))
@@ -118,9 +114,7 @@ def parse_fix(fix) -> dict[tuple[str, int, int], float]:
     if isinstance(fix, str):
         items = re.findall(r"\s*([^=]+?\])\s*=\s*([^,]+)\s*(?:,|$)", fix)
         if not items or re.sub(r"\s*([^=]+?\])\s*=\s*([^,]+)\s*(?:,|$)", "", fix).strip():
-            raise ValueError(
-                f"fix={fix!r} is not understood; write for example 'stiffness[0,1]=0,mass[0,0]=5'."
-            )
+            raise ValueError(f"fix={fix!r} is not understood; write for example 'stiffness[0,1]=0,mass[0,0]=5'.")
     else:
         items = list(fix.items())
     entries = {}
@@ -152,9 +146,7 @@ def fixed_entries(
     known = {name: np.full((dofs, dofs), np.nan) for name in ("mass", "damping", "stiffness")}
     for (name, r, c), value in entries.items():
         if c >= dofs:
-            raise ValueError(
-                f"fix: {name}[{r},{c}] is outside a model of {dofs} coordinates (indices from 0)."
-            )
+            raise ValueError(f"fix: {name}[{r},{c}] is outside a model of {dofs} coordinates (indices from 0).")
         known[name][r, c] = known[name][c, r] = value
     one = np.ones((dofs, dofs))
     units = {n: np.asarray(X) for n, X in zip(known, scaling.matrices_in(one, one, one))}
@@ -171,9 +163,7 @@ def fixed_entries(
             mask.append(np.isfinite(np.diag(values)))
         else:
             if np.any(np.isfinite(values)):
-                raise ValueError(
-                    f"fix: entries of {name} cannot be fixed together with this structure; use one."
-                )
+                raise ValueError(f"fix: entries of {name} cannot be fixed together with this structure; use one.")
             mask.append(np.zeros(sum(n * (n + 1) // 2 for n in assembly.sizes(dofs)), bool))
     return np.concatenate(mask), known
 
@@ -191,14 +181,10 @@ def with_known(matrix: np.ndarray, known: np.ndarray) -> np.ndarray:
     diagonal_free = ~given & np.eye(len(matrix), dtype=bool)
     for _ in range(60):
         values = np.linalg.eigvalsh(result)
-        if values[0] > 1e-9 * max(values[-1], 1e-300) or (
-            values[0] >= 0 and not np.any(free | diagonal_free)
-        ):
+        if values[0] > 1e-9 * max(values[-1], 1e-300) or (values[0] >= 0 and not np.any(free | diagonal_free)):
             return result
         result = np.where(free, 0.8 * result, result)
         result = np.where(diagonal_free, 1.2 * np.abs(result) + 1e-6 * np.max(np.abs(result)), result)
     if values[0] < -1e-9 * max(abs(values[-1]), 1e-300):
-        raise ValueError(
-            "fix: the known entries cannot belong to a positive semidefinite matrix; check them."
-        )
+        raise ValueError("fix: the known entries cannot belong to a positive semidefinite matrix; check them.")
     return result

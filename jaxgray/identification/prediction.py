@@ -77,9 +77,7 @@ def noise_model(system: StateSpace, noise: Float[Array, " ratios"], inputs: int)
     force = jnp.diag(noise[:inputs] ** 2)
     output = jnp.diag(jnp.exp(jnp.concatenate([jnp.zeros(1), noise[inputs:]])))
     R = output + system.D @ force @ system.D.T
-    gain, innovation = kalman_gain(
-        system.A, system.C, system.B @ force @ system.B.T, system.B @ force @ system.D.T, R
-    )
+    gain, innovation = kalman_gain(system.A, system.C, system.B @ force @ system.B.T, system.B @ force @ system.D.T, R)
     return gain, innovation / jnp.linalg.det(innovation) ** (1 / outputs)
 
 

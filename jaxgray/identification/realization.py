@@ -16,9 +16,7 @@ class AbstractMap(eqx.Module):
     """The way from A_λ, the system matrix in the λ-operator, to continuous time."""
 
     @abc.abstractmethod
-    def continuous(
-        self, A_lambda: Float[Array, "states states"], a: Float[Array, ""]
-    ) -> Float[Array, "states states"]:
+    def continuous(self, A_lambda: Float[Array, "states states"], a: Float[Array, ""]) -> Float[Array, "states states"]:
         """A·h: the continuous-time system matrix, time counted in samples."""
 
 
@@ -61,9 +59,7 @@ class Realization(eqx.Module):
         return jnp.block([[jnp.zeros((dofs, dofs)), jnp.eye(dofs)], [self.A21, self.A22]])
 
 
-def realize(
-    projections: Projections, a: Float[Array, ""], measured: tuple[str, ...], map: AbstractMap
-) -> Realization:
+def realize(projections: Projections, a: Float[Array, ""], measured: tuple[str, ...], map: AbstractMap) -> Realization:
     """A and C by the robust least squares, then the mechanical state basis.
 
     With S the rows C_k A^(−r_k) (r_k = 0, 1, 2 for measured displacement, velocity, acceleration of output k),

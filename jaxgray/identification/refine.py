@@ -184,7 +184,7 @@ def refine(
     batch: Batch,
     setting: Setting,
     *,
-    structure: Structure = Structure(),
+    structure: Structure | None = None,
     offset: bool = True,
     innovations: bool = False,
     fixed: Bool[np.ndarray, " entries"] | None = None,
@@ -193,7 +193,7 @@ def refine(
 ) -> Refinement:
     """Refine M, D, K by prediction error, maximum likelihood over the outputs.
 
-    **Arguments:** `start`: scaled M, D, K; `batch`; `setting`; `structure`: what is free; `offset`: estimate an
+    **Arguments:** `start`: scaled M, D, K; `batch`; `setting`; `structure`: what is free, default all; `offset`: estimate an
     output offset of every record; `innovations`: noise enters at the forces too; `fixed`: entries of the stacked
     block vectors that keep their start value; `deviation`: mean square residual of the start per output, to
     weigh with at first; `rounds`: how often the weights are renewed before the conic iteration (which renews
@@ -205,6 +205,7 @@ def refine(
 
     **Reference:** Ljung, *System Identification*, §7.4 (determinant criterion) and §10.2.
     """
+    structure = Structure() if structure is None else structure
     outputs = batch.y.shape[2]
     correlated = bool(jnp.all((jnp.sum(batch.kept, axis=2) % outputs) == 0))
     nuisance = begin_nuisance(batch, setting, offset=offset, innovations=False)
@@ -232,9 +233,7 @@ def refine(
         if innovations:
             noisy = begin_nuisance(batch, setting, offset=offset, innovations=True)
             nuisance = eqx.tree_at(lambda n: n.noise, nuisance, noisy.noise, is_leaf=lambda x: x is None)
-            blocks, nuisance, steps = levenberg_marquardt(
-                blocks, nuisance, whitening, batch, setting, structure
-            )
+            blocks, nuisance, steps = levenberg_marquardt(blocks, nuisance, whitening, batch, setting, structure)
             taken += int(steps)
 
     def reweigh(blocks, nuisance):
@@ -245,9 +244,7 @@ def refine(
 
     samples = float(jnp.sum(batch.kept))
     owners = structure.owners(setting_dofs(setting))
-    end = conic_steps(
-        blocks, nuisance, whitening, equations, reweigh, owners=owners, count=samples, fixed=fixed
-    )
+    end = conic_steps(blocks, nuisance, whitening, equations, reweigh, owners=owners, count=samples, fixed=fixed)
     if not np.isfinite(end.normal.cost):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement")
     M, D, K = structure.matrices(end.blocks, setting_dofs(setting))

@@ -70,9 +70,7 @@ def regression_table(
 
     filtered = jax.vmap(through, (None, 1), 1)(by_output, outputs)
     # q_j = s^(−r_j) y_j; everything is multiplied by s^highest.
-    motion = jnp.stack(
-        [filtered[:, k, highest - ORDER[kind] :][:, :3] for k, kind in enumerate(measured)], axis=1
-    )
+    motion = jnp.stack([filtered[:, k, highest - ORDER[kind] :][:, :3] for k, kind in enumerate(measured)], axis=1)
     force = jax.vmap(through, (None, 1), 1)(by_input, signals.u)[:, :, highest] @ E.T
 
     dofs = len(measured)
@@ -129,9 +127,7 @@ def regress(
     problem = PositiveLeastSquares.from_residual(factor / size, target, (dofs,) * 3, (0.0, 0.0, 0.0))
     free = problem.unconstrained()
     mean = jnp.abs(jnp.trace(problem.blocks(free)[0])) / dofs
-    problem = PositiveLeastSquares.from_residual(
-        factor / size, target, (dofs,) * 3, (1e3 * FLOOR * mean, 0.0, 0.0)
-    )
+    problem = PositiveLeastSquares.from_residual(factor / size, target, (dofs,) * 3, (1e3 * FLOOR * mean, 0.0, 0.0))
     found = jnp.asarray(ClarabelSolver()(problem)) / size
     return tuple(from_symmetric_vector(x) for x in jnp.split(found, 3))
 

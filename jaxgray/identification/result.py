@@ -101,9 +101,7 @@ class Identification:
     def judged_on(self, records: list[Record]) -> "Identification":
         """The same model with its fit on these records, instead of on the pieces it was estimated from."""
         M, D, K = (jnp.asarray(X) for X in self.scaling.matrices_in(self.mass, self.damping, self.stiffness))
-        fits = tuple(
-            _fit((M, D, K), self.setting, self.scaling, r, prepare(r, self.scaling)) for r in records
-        )
+        fits = tuple(_fit((M, D, K), self.setting, self.scaling, r, prepare(r, self.scaling)) for r in records)
         warnings = dict.fromkeys(self.warnings + tuple(_fit_warnings(fits, self.model)))
         return dataclasses.replace(self, records=tuple(records), estimation=fits, warnings=tuple(warnings))
 
@@ -236,9 +234,7 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
         )
     result += [f"Parameter {name} does not move any output; fix it or excite it." for name in spread.unmoved]
     result += [f"Hardly determined by this record: {text}." for text in spread.weak_directions]
-    result += [
-        f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge
-    ]
+    result += [f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge]
     errors = spread.standard_errors()["mass"]
     for k, name in enumerate(model.output_names):
         if errors[k, k] > 0.5 * abs(float(model.mass[k, k])):
@@ -248,8 +244,8 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
             )
     if not found.fits:
         result.append(
-            f"M, D, K of {model.dofs} coordinates do not fit: another linear model explains "
-            f"{found.explained_percent:.1f} % more of the residual (p = {found.p_value:.1e}). More coordinates, a delay, "
+            f"M, D, K of {model.dofs} coordinates do not fit: another linear model "
+            f"explains {found.explained_percent:.1f} % more of the residual (p = {found.p_value:.1e}). More coordinates, a delay, "
             "or another input map may be needed."
         )
     if not tests.white and refinement.nuisance.noise is None:
@@ -258,9 +254,7 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
             "noise='innovations' is more exact."
         )
     if tests.feedback:
-        result.append(
-            "The residual is correlated with future inputs: the record may come from a closed loop."
-        )
+        result.append("The residual is correlated with future inputs: the record may come from a closed loop.")
     return result
 
 

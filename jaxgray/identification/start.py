@@ -192,9 +192,7 @@ def _input_fits(chosen, signals: list[Signals], setting: Setting, source: str) -
         spread = jnp.sqrt(jnp.maximum(chosen.deviation, 1e-24))
         weights = jnp.exp(jnp.mean(jnp.log(spread))) / spread
         parts = [_record_fit(chosen.realization, s, weights, setting) for s in signals]
-        stacked = InputFit(
-            jnp.concatenate([p.factor for p in parts]), jnp.concatenate([p.target for p in parts])
-        )
+        stacked = InputFit(jnp.concatenate([p.factor for p in parts]), jnp.concatenate([p.target for p in parts]))
         fits.append(stacked)
     return fits
 
@@ -240,9 +238,7 @@ def regression_start(
                 if all(bool(jnp.all(jnp.isfinite(run))) and float(jnp.min(dev)) < 0.5 for run, dev in runs):
                     instruments = [run for run, _ in runs]
             try:
-                matrices = regress(
-                    signals, instruments, E, float(tau), measured=setting.measured, hold=setting.hold
-                )
+                matrices = regress(signals, instruments, E, float(tau), measured=setting.measured, hold=setting.hold)
             except ComputationError:
                 break
             deviation = total_deviation(matrices, setting, signals)

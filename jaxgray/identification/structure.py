@@ -123,9 +123,7 @@ class Structure(eqx.Module):
 
     def owners(self, dofs: int) -> tuple[str, ...]:
         """The matrix to which each block belongs."""
-        return tuple(
-            name for name in ("mass", "damping", "stiffness") for _ in getattr(self, name).sizes(dofs)
-        )
+        return tuple(name for name in ("mass", "damping", "stiffness") for _ in getattr(self, name).sizes(dofs))
 
     def matrices(self, blocks: list[Array], dofs: int) -> tuple[Array, Array, Array]:
         """M, D, K from the blocks."""

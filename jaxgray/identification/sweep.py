@@ -34,9 +34,7 @@ class Candidate(eqx.Module):
     deviation: Float[Array, " outputs"]
 
 
-def default_time_constants(
-    record: Record, count: int = DEFAULT_TIME_CONSTANTS
-) -> Float[np.ndarray, " time_constants"]:
+def default_time_constants(record: Record, count: int = DEFAULT_TIME_CONSTANTS) -> Float[np.ndarray, " time_constants"]:
     """Logarithmic grid of τ [s], from two samples to the slowest motion that the record shows.
 
     The slowest motion is taken from the outputs' spectra: the frequency below which half of the power lies,
@@ -70,9 +68,7 @@ def record_factors(
     usable = np.all([np.asarray(pivot > RANK_TOLERANCE) for _, pivot in parts], axis=0)
     householder = bool(np.sum(usable) <= len(usable) / 2)
     if householder:
-        parts = [
-            factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=True) for s in signals
-        ]
+        parts = [factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=True) for s in signals]
         usable[:] = True
     grid = jax.vmap(combine)(jnp.stack([factor for factor, _ in parts], axis=1))
     return jnp.where(jnp.asarray(usable)[:, None, None], grid, jnp.nan), householder
@@ -96,16 +92,12 @@ def deviation(
     nuisance = nuisance.reshape(samples * outputs, -1)
     residual = (residual * signals.kept).reshape(-1)
     gram = nuisance.T @ nuisance
-    solution = jnp.linalg.solve(
-        gram + 1e-12 * jnp.trace(gram) * jnp.eye(gram.shape[0]), nuisance.T @ residual
-    )
+    solution = jnp.linalg.solve(gram + 1e-12 * jnp.trace(gram) * jnp.eye(gram.shape[0]), nuisance.T @ residual)
     rest = (residual - nuisance @ solution).reshape(samples, outputs)
     return jnp.sum(rest**2, axis=0) / jnp.maximum(jnp.sum(signals.kept, axis=0), 1.0)
 
 
-@functools.partial(
-    jax.jit, static_argnames=("inputs", "padded", "weight", "map", "measured", "hold", "householder")
-)
+@functools.partial(jax.jit, static_argnames=("inputs", "padded", "weight", "map", "measured", "hold", "householder"))
 def candidate(
     factor: Float[Array, "columns columns"],
     a: Float[Array, ""],
@@ -157,9 +149,7 @@ def candidates(
     One compiled function serves every τ. The loop over τ stays on the host: inside a traced loop the CPU
     backend gains nothing from it and can run out of threads (see `numerics.runtime`).
     """
-    found = [
-        _over_block_rows(factor, a, block_rows, signals, **static) for factor, a in zip(factor_grid, poles)
-    ]
+    found = [_over_block_rows(factor, a, block_rows, signals, **static) for factor, a in zip(factor_grid, poles)]
     return jax.tree_util.tree_map(lambda *parts: jnp.stack(parts), *found)
 
 

@@ -68,9 +68,7 @@ class Sweep:
             "time_constant": float(self.time_constants[k[0]]),
             "block_rows": int(self.block_rows[k[1]]),
             "fit_percent": self.fit_percent[k],
-            "validation_fit_percent": None
-            if self.validation_fit_percent is None
-            else self.validation_fit_percent[k],
+            "validation_fit_percent": None if self.validation_fit_percent is None else self.validation_fit_percent[k],
             "mass": self.mass[k],
             "damping": self.damping[k],
             "stiffness": self.stiffness[k],
@@ -236,9 +234,7 @@ def _block_rows(given, record: Record) -> tuple[int, ...]:
 
 def _cells(
     found, shape: tuple[int, int], setting: Setting, signals: list[Signals], progress: AbstractProgress
-) -> tuple[
-    dict, Float[np.ndarray, "time_constants choices outputs"], Bool[np.ndarray, "time_constants choices"]
-]:
+) -> tuple[dict, Float[np.ndarray, "time_constants choices outputs"], Bool[np.ndarray, "time_constants choices"]]:
     """Physical matrices of every choice, the free-run deviation, and where there is no model at all."""
     models: dict = {}
     longest = max(s.samples for s in signals)

@@ -56,9 +56,7 @@ class Uncertainty:
 def entry_names(dofs: int) -> tuple[str, ...]:
     """mass[0,0], … in the order of the covariance."""
     rows, columns = triangle(dofs)
-    return tuple(
-        f"{matrix}[{r},{c}]" for matrix in ("mass", "damping", "stiffness") for r, c in zip(rows, columns)
-    )
+    return tuple(f"{matrix}[{r},{c}]" for matrix in ("mass", "damping", "stiffness") for r, c in zip(rows, columns))
 
 
 @eqx.filter_jit
@@ -169,7 +167,5 @@ def _edges(refinement: Refinement, scaling: Scaling) -> tuple[str, ...]:
             if value <= EDGE * max(values[-1], 1e-300):
                 direction = vector * np.asarray(scaling.coordinates)
                 direction = direction / direction[np.argmax(np.abs(direction))]
-                found.append(
-                    f"{name} is singular in the direction [{', '.join(f'{v:.3g}' for v in direction)}]"
-                )
+                found.append(f"{name} is singular in the direction [{', '.join(f'{v:.3g}' for v in direction)}]")
     return tuple(found)

@@ -26,9 +26,7 @@ class Fit:
     rmse: Float[np.ndarray, " outputs"]
 
 
-def fit_of(
-    measured: Float[np.ndarray, "samples outputs"], simulated: Float[np.ndarray, "samples outputs"]
-) -> Fit:
+def fit_of(measured: Float[np.ndarray, "samples outputs"], simulated: Float[np.ndarray, "samples outputs"]) -> Fit:
     """`Fit` of simulated to measured outputs; missing samples do not count."""
     residual = measured - simulated
     centred = measured - np.nanmean(measured, axis=0)

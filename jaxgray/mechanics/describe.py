@@ -23,10 +23,7 @@ def matrix_units(model) -> dict[str, str]:
         return dict.fromkeys(("mass", "damping", "stiffness"), "")
     force, length = forces.pop(), lengths.pop()
     length = f"({length})" if set(length) & set(" */") else length
-    return {
-        name: f"{force}{_TIMES[order]}/{length}"
-        for name, order in (("mass", 2), ("damping", 1), ("stiffness", 0))
-    }
+    return {name: f"{force}{_TIMES[order]}/{length}" for name, order in (("mass", 2), ("damping", 1), ("stiffness", 0))}
 
 
 def _displacement_unit(unit: str, kind: str) -> str:

@@ -41,9 +41,7 @@ class Modes(eqx.Module):
             rows.append((str(k + 1), f"{f:.6g}", f"{z:.4g}", *(f"{entry:+.3f}" for entry in shape)))
         width = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
         lines = ["  ".join(text.rjust(w) for text, w in zip(row, width)) for row in rows]
-        poles = ", ".join(
-            f"{s.real:.4g}" + (f" ± {s.imag:.5g}j" if s.imag else "") for s in self.poles if s.imag >= 0
-        )
+        poles = ", ".join(f"{s.real:.4g}" + (f" ± {s.imag:.5g}j" if s.imag else "") for s in self.poles if s.imag >= 0)
         return "\n".join(["Modes (shapes scaled to largest entry 1)", *lines, f"poles [rad/s]: {poles}"])
 
 
@@ -84,9 +82,7 @@ def _undamped_modes_jvp(primals, tangents):
     return (squared, V), (jnp.diag(from_stiffness) - squared * jnp.diag(from_mass), V @ change)
 
 
-def time_scale(
-    squared: Float[Array, " modes"], modal_damping: Float[Array, "modes modes"]
-) -> Float[Array, ""]:
+def time_scale(squared: Float[Array, " modes"], modal_damping: Float[Array, "modes modes"]) -> Float[Array, ""]:
     """Time [s] in which the fastest motion is of unit rate, from ω² and VᵀDV; 1 where nothing moves."""
     rate = jnp.maximum(jnp.sqrt(jnp.max(jnp.abs(squared))), jnp.max(jnp.abs(modal_damping)))
     return 1.0 / jnp.where(rate > 0, rate, 1.0)
@@ -207,9 +203,7 @@ def mac(shapes_a, shapes_b) -> Float[np.ndarray, "modes_a modes_b"]:
     """
     a, b = (np.asarray(X).reshape(np.shape(X)[0], -1) for X in (shapes_a, shapes_b))
     if a.shape[0] != b.shape[0]:
-        raise ValueError(
-            f"shapes_a has {a.shape[0]} rows, shapes_b has {b.shape[0]}; give the same coordinates."
-        )
+        raise ValueError(f"shapes_a has {a.shape[0]} rows, shapes_b has {b.shape[0]}; give the same coordinates.")
     size = np.sum(np.abs(a) ** 2, axis=0)[:, None] * np.sum(np.abs(b) ** 2, axis=0)[None, :]
     return np.abs(a.conj().T @ b) ** 2 / np.where(size > 0, size, 1.0)
 
@@ -255,9 +249,7 @@ def check_omega(omega) -> Float[Array, " frequencies"]:
     """Frequencies as an array, or a `ValueError`."""
     given = np.atleast_1d(np.asarray(omega, dtype=float))
     if given.ndim != 1 or not np.isfinite(given).all():
-        raise ValueError(
-            f"omega has shape {given.shape} or is not finite; give frequencies in rad/s, one dimension."
-        )
+        raise ValueError(f"omega has shape {given.shape} or is not finite; give frequencies in rad/s, one dimension.")
     return jnp.asarray(given)
 
 

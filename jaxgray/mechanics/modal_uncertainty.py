@@ -43,9 +43,7 @@ class ModalUncertainty:
             lines.append(f"{k + 1:>4}  {f:>14.3g}  {z:>13.3g}")
         for (source, place), errors in self.antiresonance_hz.items():
             if len(errors):
-                lines.append(
-                    f"antiresonances [Hz] {source} to {place}: {', '.join(f'{e:.3g}' for e in errors)}"
-                )
+                lines.append(f"antiresonances [Hz] {source} to {place}: {', '.join(f'{e:.3g}' for e in errors)}")
         return "\n".join(lines)
 
 
@@ -181,9 +179,7 @@ def _response_jacobian(model, entries, omega):
     return jax.jacfwd(parts)(entries)
 
 
-def frequency_response_band(
-    model: MechanicalModel, omega, covariance, kind: str = "receptance"
-) -> ResponseBand:
+def frequency_response_band(model: MechanicalModel, omega, covariance, kind: str = "receptance") -> ResponseBand:
     """Standard errors of magnitude and phase of a frequency-response function, by the delta method.
 
     **Arguments:** `model`; `omega`: frequencies [rad/s]; `covariance`: of the upper triangles by columns of

@@ -92,9 +92,7 @@ class MechanicalModel(eqx.Module):
             ("output_units", dofs),
         ):
             if len(getattr(self, name)) != wanted:
-                raise ValueError(
-                    f"{name}={getattr(self, name)} has {len(getattr(self, name))} entries, not {wanted}."
-                )
+                raise ValueError(f"{name}={getattr(self, name)} has {len(getattr(self, name))} entries, not {wanted}.")
 
     @property
     def dofs(self) -> int:
@@ -125,12 +123,13 @@ class MechanicalModel(eqx.Module):
             stiffness=_matrix(stiffness, "stiffness"),
         )
 
-    def simulate(self, u, sampling_time=None, *, hold=None, x0=None, offset=None):
+    def simulate(self, u, sampling_time=None, *, hold=None, x0=None, offset=None, scheduling=None, substeps=1):
         """Free-run simulation.
 
         **Arguments:** `u`: a `Record`, of which the inputs, sampling time and hold are taken, or inputs
         (samples × inputs); `sampling_time` [s], only without a record; `hold`: default the record's, or
-        "zero"; `x0`, `offset`: as for `jaxgray.mechanics.simulate.simulate`.
+        "zero"; `x0`, `offset`, `scheduling` (default the record's), `substeps`: as for
+        `jaxgray.mechanics.simulate.simulate`.
 
         **Returns:** the outputs (samples × outputs).
 
@@ -139,8 +138,11 @@ class MechanicalModel(eqx.Module):
         """
         from .simulate import signals_of, simulate
 
+        scheduling = getattr(u, "scheduling", None) if scheduling is None else scheduling
         u, _, sampling_time, hold = signals_of(u, None, sampling_time, hold)
-        return simulate(self, u, sampling_time, hold=hold, x0=x0, offset=offset)
+        return simulate(
+            self, u, sampling_time, hold=hold, x0=x0, offset=offset, scheduling=scheduling, substeps=substeps
+        )
 
     def predict(
         self,

@@ -12,6 +12,7 @@ from ..numerics.riccati import kalman_gain
 from ..numerics.runtime import ready
 from ..records import Record
 from ..records.channels import as_channels, as_seconds
+from .extended import Plant, extended_run
 from .model import MechanicalModel
 from .statespace import StateSpace, check_hold, hold_matrices, sampled
 
@@ -46,14 +47,27 @@ _respond = eqx.filter_jit(respond)
 _free_response = eqx.filter_jit(free_response)
 
 
-def free_run(model: MechanicalModel, u, sampling_time, hold: str, x0) -> Float[Array, "samples outputs"]:
-    """Outputs of a model: the one place to dispatch what `model.effects` add to the linear part.
+@eqx.filter_jit
+def _extended(model: MechanicalModel, u, sampling_time, hold, x0, scheduling, substeps):
+    plant = Plant(model.mass, model.damping, model.stiffness, model.drive, model.measured)
+    return extended_run(plant, model.effects, x0, u, sampling_time, hold, scheduling=scheduling, substeps=substeps)
+
+
+def free_run(
+    model: MechanicalModel, u, sampling_time, hold: str, x0, *, scheduling=None, substeps: int = 1
+) -> Float[Array, "samples outputs"]:
+    """Outputs of a model, its effects included.
 
     **Arguments:** `model`; `u`: inputs (samples × inputs); `sampling_time` [s]; `hold`: "zero" or "linear";
-    `x0`: first (q, q̇), or None: at rest, a measured base at zero until the first sample.
+    `x0`: first (q, q̇), or None: at rest, a measured base at zero until the first sample; `scheduling`: channel that
+    some effects read, default zeros; `substeps`: steps per sample of the effects that are forces.
 
-    **Returns:** the outputs, exact for inputs that follow the hold, one row a sample.
+    **Returns:** the outputs, one row a sample: exact for the linear part and inputs that follow the hold, of second
+    order in the step for forces that effects add.
     """
+    if model.effects:
+        state = jnp.zeros(2 * model.dofs) if x0 is None else x0
+        return _extended(model, u, sampling_time, hold, state, scheduling, substeps)
     system, held, to_speed = _sampled_model(model, sampling_time, hold)
     start = -held @ u[0]
     if x0 is not None:
@@ -63,7 +77,15 @@ def free_run(model: MechanicalModel, u, sampling_time, hold: str, x0) -> Float[A
 
 
 def simulate(
-    model: MechanicalModel, u, sampling_time: float, *, hold: str = "zero", x0=None, offset=None
+    model: MechanicalModel,
+    u,
+    sampling_time: float,
+    *,
+    hold: str = "zero",
+    x0=None,
+    offset=None,
+    scheduling=None,
+    substeps: int = 1,
 ) -> Float[np.ndarray, "samples outputs"]:
     """Free-run simulation: outputs from the inputs and the first state alone.
 
@@ -71,7 +93,8 @@ def simulate(
     `sampling_time` [s]; `hold`: the input between samples, "zero" (default) or "linear"; `x0`: displacements,
     then velocities of the coordinates at the first sample (relative to the base where the base acceleration
     is the input), default at rest, a measured base at zero until the first sample; `offset`: constant added
-    to each output, default none.
+    to each output, default none; `scheduling`: channel (samples) that some effects read, default zeros;
+    `substeps`: steps per sample of the forces that effects add, default 1; the error falls with their square.
 
     **Returns:** the outputs (samples × outputs), in the output units.
 
@@ -80,7 +103,10 @@ def simulate(
     """
     u, h = _input(model, u, sampling_time, hold)
     x0 = _vector("x0", x0, 2 * model.dofs, "displacements, then velocities")
-    y = np.asarray(free_run(model, u, h, hold, x0))
+    if not isinstance(substeps, int) or substeps < 1:
+        raise ValueError(f"substeps is {substeps!r}; give a whole number, 1 or more.")
+    p = None if scheduling is None else _vector("scheduling", scheduling, len(u), "one value per sample")
+    y = np.asarray(free_run(model, u, h, hold, x0, scheduling=p, substeps=substeps))
     offset = _vector("offset", offset, model.dofs, "one value per output")
     if offset is not None:
         y = y + np.asarray(offset)
@@ -118,9 +144,7 @@ def initial_state(
             raise ValueError(f"kept has shape {kept.shape}; give ({samples},) or {y.shape} truth values.")
         known = known & kept.reshape(samples, -1)
     if not known.any():
-        raise ValueError(
-            "y and kept leave no sample to find the initial state from; keep some that are measured."
-        )
+        raise ValueError("y and kept leave no sample to find the initial state from; keep some that are measured.")
     system, held, to_speed = _sampled_model(model, h, hold)
     forced = np.asarray(_respond(system.A, system.B, system.C, system.D, u, jnp.zeros(2 * dofs)))
     free = np.asarray(_free_response(system.A, system.C, samples))
@@ -130,9 +154,7 @@ def initial_state(
         )
     counted = np.maximum(known.sum(axis=0), 1)
     measured = np.where(known, y, 0.0)
-    size = np.sqrt(
-        np.sum(np.where(known, measured - measured.sum(axis=0) / counted, 0.0) ** 2, axis=0) / counted
-    )
+    size = np.sqrt(np.sum(np.where(known, measured - measured.sum(axis=0) / counted, 0.0) ** 2, axis=0) / counted)
     weight = known / np.where(size > 0, size, 1.0)
     table = free
     if offset:
@@ -263,8 +285,7 @@ def _output(model, y, u) -> Float[np.ndarray, "samples outputs"]:
     y = as_channels("y", y)
     if y.shape != (len(u), model.dofs):
         raise ValueError(
-            f"y has shape {y.shape}; give {(len(u), model.dofs)}, as many samples as u and a column per "
-            "output."
+            f"y has shape {y.shape}; give {(len(u), model.dofs)}, as many samples as u and a column per output."
         )
     return y
 

@@ -14,9 +14,7 @@ HOLDS = ("zero", "linear")
 def check_hold(hold: str) -> str:
     """The hold itself, or a `ValueError` that names the choices."""
     if hold not in HOLDS:
-        raise ValueError(
-            f"hold={hold!r} is not known; choose 'zero' (computer output) or 'linear' (analogue)."
-        )
+        raise ValueError(f"hold={hold!r} is not known; choose 'zero' (computer output) or 'linear' (analogue).")
     return hold
 
 
@@ -52,10 +50,7 @@ class StateSpace(eqx.Module):
         """C (jωI − A)⁻¹ B + D in continuous time at ω [rad/s], one outputs × inputs matrix a frequency."""
         eye = jnp.eye(self.A.shape[0])
         pencil = 1j * omega[:, None, None] * eye - self.A
-        return (
-            self.C @ jnp.linalg.solve(pencil, jnp.broadcast_to(self.B + 0j, (len(omega), *self.B.shape)))
-            + self.D
-        )
+        return self.C @ jnp.linalg.solve(pencil, jnp.broadcast_to(self.B + 0j, (len(omega), *self.B.shape))) + self.D
 
 
 def hold_matrices(
@@ -98,8 +93,6 @@ def sampled(system: StateSpace, sampling_time: float, hold: str) -> StateSpace:
     return StateSpace(Ad, Ad @ B1 + B0, system.C, system.D + system.C @ B1, sampling_time)
 
 
-def continuous_matrix(
-    Ad: Float[Array, "states states"], sampling_time: float
-) -> Float[Array, "states states"]:
+def continuous_matrix(Ad: Float[Array, "states states"], sampling_time: float) -> Float[Array, "states states"]:
     """Continuous-time A = log(A_d)/h of a sampled system matrix."""
     return matrix_logarithm(Ad) / sampling_time

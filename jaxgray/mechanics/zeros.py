@@ -108,9 +108,7 @@ def _position(argument: str, given, names: tuple[str, ...]) -> int:
         return names.index(given)
     if isinstance(given, int | np.integer) and 0 <= given < len(names):
         return int(given)
-    raise ValueError(
-        f"{argument}={given!r} is not known; give one of {', '.join(names)} or its position from 0."
-    )
+    raise ValueError(f"{argument}={given!r} is not known; give one of {', '.join(names)} or its position from 0.")
 
 
 def _zeros(model: MechanicalModel, inputs, outputs) -> Zeros:

@@ -148,9 +148,7 @@ def _project_positive_jvp(primals, tangents):
     return (vectors * clipped) @ vectors.T, vectors @ (slope * rotated) @ vectors.T
 
 
-def least_squares(
-    X: Float[Array, "rows columns"], Y: Float[Array, "rows targets"]
-) -> Float[Array, "columns targets"]:
+def least_squares(X: Float[Array, "rows columns"], Y: Float[Array, "rows targets"]) -> Float[Array, "columns targets"]:
     """Solution of min ‖X Z − Y‖ for full column rank, by QR with scaled columns."""
     scale = jnp.linalg.norm(X, axis=0)
     scale = jnp.where(scale > 0, scale, 1.0)

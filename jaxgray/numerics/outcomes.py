@@ -42,8 +42,7 @@ class RESULTS(eqx.Enumeration):
         "for closed-loop operation, drift and clipping."
     )
     semidefinite_solver = (
-        "The semidefinite least-squares solver did not converge. Rescale the record or fix entries that you "
-        "know."
+        "The semidefinite least-squares solver did not converge. Rescale the record or fix entries that you know."
     )
     refinement_diverged = (
         "The refinement did not converge from any start. Try without refinement, another time constant, or "

@@ -40,9 +40,7 @@ class PositiveLeastSquares(eqx.Module):
         cls, factor: Float[Array, "rows variables"], target: Float[Array, " rows"], sizes, floors
     ) -> "PositiveLeastSquares":
         """The problem min ½ ‖factor z − target‖² over the same blocks."""
-        return cls(
-            factor.T @ factor, -factor.T @ target, jnp.asarray(floors, dtype=factor.dtype), tuple(sizes)
-        )
+        return cls(factor.T @ factor, -factor.T @ target, jnp.asarray(floors, dtype=factor.dtype), tuple(sizes))
 
     def blocks(self, z: Float[Array, " variables"]) -> tuple[Float[Array, "n n"], ...]:
         """The symmetric matrices that z stands for."""
@@ -95,10 +93,7 @@ class ClarabelSolver(AbstractPositiveSolver):
         scale = 1.0 / max(np.max(np.abs(np.diag(P))), np.finfo(float).tiny)
         size = np.sqrt(np.mean(free**2)) if np.all(np.isfinite(free)) and np.any(free) else 1.0
         bound = np.concatenate(
-            [
-                -floor / size * np.asarray(symmetric_vector(jnp.eye(n)))
-                for n, floor in zip(problem.sizes, floors)
-            ]
+            [-floor / size * np.asarray(symmetric_vector(jnp.eye(n))) for n, floor in zip(problem.sizes, floors)]
         )
         settings = clarabel.DefaultSettings()
         settings.verbose = False
@@ -268,8 +263,6 @@ def _project(z, problem):
 def _jaxopt():
     """jaxopt, whose import warns that it is no longer maintained; known, and weighed in this one place."""
     with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", message="JAXopt is no longer maintained", category=DeprecationWarning
-        )
+        warnings.filterwarnings("ignore", message="JAXopt is no longer maintained", category=DeprecationWarning)
         import jaxopt
     return jaxopt

@@ -16,15 +16,12 @@ def as_channels(name: str, values) -> Float[np.ndarray, "samples channels"]:
         raise ValueError(f"{name} holds {given.dtype}; give real numbers.")
     if given.ndim not in (1, 2) or given.size == 0:
         raise ValueError(
-            f"{name} has shape {given.shape}; give (samples, channels) with at least one channel, or "
-            "(samples,)."
+            f"{name} has shape {given.shape}; give (samples, channels) with at least one channel, or (samples,)."
         )
     array = np.array(given.reshape(len(given), -1), dtype=np.float64, order="C")
     if np.isinf(array).any():
         row, column = np.argwhere(np.isinf(array))[0]
-        raise ValueError(
-            f"{name} is infinite at sample {row} of channel {column}; cut or correct that sample."
-        )
+        raise ValueError(f"{name} is infinite at sample {row} of channel {column}; cut or correct that sample.")
     largest = np.nanmax(np.abs(array), initial=0.0)
     if largest > LARGEST_VALUE:
         raise ValueError(
@@ -51,9 +48,7 @@ def as_texts(name: str, given, count: int, default: str) -> tuple[str, ...]:
         return tuple(default.format(k + 1) for k in range(count))
     texts = (given,) if isinstance(given, str) else tuple(str(text) for text in given)
     if len(texts) != count:
-        raise ValueError(
-            f"{name} has {len(texts)} entries {texts}; give one for each of the {count} channels."
-        )
+        raise ValueError(f"{name} has {len(texts)} entries {texts}; give one for each of the {count} channels.")
     return texts
 
 
@@ -74,8 +69,7 @@ def measured_per_output(measured, outputs: int) -> tuple[str, ...]:
         words = words * outputs
     if len(words) != outputs or not set(words) <= set(MEASURED):
         raise ValueError(
-            f"measured is {measured!r}; give one of {', '.join(MEASURED)} for all or for each of the "
-            f"{outputs} outputs."
+            f"measured is {measured!r}; give one of {', '.join(MEASURED)} for all or for each of the {outputs} outputs."
         )
     return words
 

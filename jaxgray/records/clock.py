@@ -89,9 +89,7 @@ def read_clock(
     """
     unknown = np.flatnonzero(~np.isfinite(time))
     if unknown.size:
-        raise ValueError(
-            f"time is missing at {row(unknown[0])}; give every row a time, or say sampling_time."
-        )
+        raise ValueError(f"time is missing at {row(unknown[0])}; give every row a time, or say sampling_time.")
     step = np.diff(time)
     if step.size == 0:
         raise ValueError("time has 1 value; a record needs at least 2 samples.")

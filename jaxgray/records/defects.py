@@ -256,7 +256,5 @@ def _passes(y: np.ndarray, first: np.ndarray, last: np.ndarray, least: float, st
     around = np.mean([np.abs(moves[first - 1 - k]) + np.abs(moves[last + k]) for k in range(5)], axis=0) / 2.0
     # A turning point gives two equal samples as well, but turns back.
     return (
-        (np.fmin(np.abs(into), np.abs(out)) > least)
-        & (into * out > 0.0)
-        & ((last - first + 1) * around > 10.0 * step)
+        (np.fmin(np.abs(into), np.abs(out)) > least) & (into * out > 0.0) & ((last - first + 1) * around > 10.0 * step)
     )

@@ -51,8 +51,7 @@ def read_delimited(path: Path, *, delimiter: str | None = None, decimal: str | N
         headers = [cell.strip() for cell in _cells([comment], delimiter)[0]] if comment else []
         if len(headers) != len(rows[0]):
             raise ValueError(
-                f"{path.name} starts with numbers ({lines[0].strip()[:40]}); add a header row with the "
-                "column names."
+                f"{path.name} starts with numbers ({lines[0].strip()[:40]}); add a header row with the column names."
             )
     else:
         rows, numbers = rows[1:], numbers[1:]
@@ -62,9 +61,7 @@ def read_delimited(path: Path, *, delimiter: str | None = None, decimal: str | N
             units = {header: cell.strip().strip("[]()") for header, cell in zip(headers, rows[0])}
             rows, numbers = rows[1:], numbers[1:]
     if len(rows) < 2:
-        raise ValueError(
-            f"{path.name} has {len(rows)} row(s) of numbers below its header; a record needs at least 2."
-        )
+        raise ValueError(f"{path.name} has {len(rows)} row(s) of numbers below its header; a record needs at least 2.")
     _check_lengths(path, headers, rows, numbers)
     if decimal is None:
         decimal = "," if delimiter != "," and any("," in line for line in lines[1:]) else "."
@@ -102,9 +99,7 @@ def _lines(path: Path) -> tuple[list[str], list[int], str]:
             lines.append(line)
             numbers.append(number)
     if not lines:
-        raise ValueError(
-            f"{path.name} is empty; give a file with a header row and at least 2 rows of numbers."
-        )
+        raise ValueError(f"{path.name} is empty; give a file with a header row and at least 2 rows of numbers.")
     return lines, numbers, comment
 
 

@@ -33,9 +33,7 @@ def random_steps(
     _check(samples, channels, sampling_time)
     shortest, longest = hold_times
     if not 0.0 < shortest <= longest < np.inf:
-        raise ValueError(
-            f"hold_times is {hold_times}; give a shortest and a longest time in s, both positive."
-        )
+        raise ValueError(f"hold_times is {hold_times}; give a shortest and a longest time in s, both positive.")
     rng = np.random.default_rng(rng)
     u = np.empty((samples, channels))
     # Rounding can shorten a hold by half a sample, but to no less than one.
@@ -78,9 +76,7 @@ def prbs(
 
     _check(samples, channels, sampling_time)
     held = 1 if clock_period is None else round(clock_period / sampling_time)
-    if held < 1 or (
-        clock_period is not None and abs(held * sampling_time - clock_period) > 1e-6 * clock_period
-    ):
+    if held < 1 or (clock_period is not None and abs(held * sampling_time - clock_period) > 1e-6 * clock_period):
         raise ValueError(
             f"clock_period is {clock_period} s; give a whole number of sampling times of {sampling_time} s."
         )

@@ -134,9 +134,7 @@ def _missing(record: Record, _: list[_Output]) -> Iterator[RecordFinding]:
         yield _gap("record", rows, record, f"{int(rows.sum())} of {record.samples} rows are missing")
     for name, lost in zip(record.output_names, (gone & ~rows[:, None]).T):
         if lost.any() and not lost.all():
-            yield _gap(
-                name, lost, record, f"Output {name} misses {int(lost.sum())} of {record.samples} samples"
-            )
+            yield _gap(name, lost, record, f"Output {name} misses {int(lost.sum())} of {record.samples} samples")
 
 
 def _gap(location: str, lost: np.ndarray, record: Record, seen: str) -> RecordFinding:

@@ -81,9 +81,7 @@ def read_record(
     }
     if scheduling is not None:
         positions["scheduling"] = [table.find("scheduling", scheduling)]
-    clock_column, sampling_time = _find_clock(
-        table, time, sampling_time, positions["inputs"] + positions["outputs"]
-    )
+    clock_column, sampling_time = _find_clock(table, time, sampling_time, positions["inputs"] + positions["outputs"])
     if clock_column is not None and time is not None:
         positions["time"] = [clock_column]
     _no_column_twice(table, positions)
@@ -135,9 +133,7 @@ def _open(path, delimiter: str | None, decimal: str | None) -> Table:
         what = "is a folder" if path.is_dir() else "does not exist"
         raise ValueError(f"path: {path} {what}; give the path of a file.")
     if path.stat().st_size == 0:
-        raise ValueError(
-            f"path: {path} is empty; give a file with a header row and at least 2 rows of numbers."
-        )
+        raise ValueError(f"path: {path} is empty; give a file with a header row and at least 2 rows of numbers.")
     suffix = path.suffix.lower()
     if suffix not in READERS:
         near = difflib.get_close_matches(suffix, READERS, n=1)
@@ -152,9 +148,7 @@ def _open(path, delimiter: str | None, decimal: str | None) -> Table:
         raise ValueError(f"path: {path} cannot be read; check its permissions.") from None
 
 
-def _find_clock(
-    table: Table, time: str | None, sampling_time, used: list[int]
-) -> tuple[int | None, float | None]:
+def _find_clock(table: Table, time: str | None, sampling_time, used: list[int]) -> tuple[int | None, float | None]:
     """Position of the time column, and the sampling time where it is given; at least one of them."""
     if sampling_time is not None:
         sampling_time = as_seconds("sampling_time", sampling_time)
@@ -246,9 +240,7 @@ def _fill(clock: Clock, u: np.ndarray, y: np.ndarray, p: np.ndarray | None):
 
 def _names(table: Table, positions: list[int]) -> tuple[str, ...]:
     """Names without units, or whole headers where only the unit tells two columns apart."""
-    return tuple(
-        table.names[k] if table.names.count(table.names[k]) == 1 else table.headers[k] for k in positions
-    )
+    return tuple(table.names[k] if table.names.count(table.names[k]) == 1 else table.headers[k] for k in positions)
 
 
 def _units(table: Table, positions: list[int]) -> tuple[str, ...]:

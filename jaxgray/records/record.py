@@ -85,8 +85,7 @@ class Record:
         if np.isnan(self.u).any():
             row, column = np.argwhere(np.isnan(self.u))[0]
             raise ValueError(
-                f"u is NaN at sample {row} of input {column}; only outputs may be missing: fill or cut the "
-                "input."
+                f"u is NaN at sample {row} of input {column}; only outputs may be missing: fill or cut the input."
             )
         store("sampling_time", as_seconds("sampling_time", sampling_time))
         store("start_time", as_seconds("start_time", start_time, positive=False))
@@ -96,9 +95,7 @@ class Record:
         names = self.input_names + self.output_names
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice or "" in names:
-            raise ValueError(
-                f"input_names and output_names are {names}; give every channel a name of its own."
-            )
+            raise ValueError(f"input_names and output_names are {names}; give every channel a name of its own.")
         store("input_units", as_texts("input_units", input_units, self.inputs, ""))
         store("output_units", as_texts("output_units", output_units, self.outputs, ""))
 
@@ -120,9 +117,7 @@ class Record:
             store("scheduling", None)
             store("scheduling_name", None)
         else:
-            raise ValueError(
-                f"scheduling_name is {scheduling_name!r} but scheduling is missing; give the channel too."
-            )
+            raise ValueError(f"scheduling_name is {scheduling_name!r} but scheduling is missing; give the channel too.")
 
     @property
     def samples(self) -> int:
@@ -341,11 +336,7 @@ class Record:
         rows = slice(skip * period, (skip + periods) * period)
         u, _ = between_periods(self.u[rows], periods)
         y, variance = between_periods(self.y[rows], periods)
-        p = (
-            None
-            if self.scheduling is None
-            else between_periods(self.scheduling[rows, None], periods)[0][:, 0]
-        )
+        p = None if self.scheduling is None else between_periods(self.scheduling[rows, None], periods)[0][:, 0]
         start = self.start_time + skip * period * self.sampling_time
         variance.setflags(write=False)
         return PeriodAverage(replace(self, u=u, y=y, scheduling=p, start_time=start), variance, periods)

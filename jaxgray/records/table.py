@@ -73,8 +73,7 @@ class Table:
             return found[0]
         if found:
             raise ValueError(
-                f"{argument}: {self.source} has {len(found)} columns called {wanted!r}; give each a name "
-                "of its own."
+                f"{argument}: {self.source} has {len(found)} columns called {wanted!r}; give each a name of its own."
             )
         raise ValueError(f"{argument}: {self.source} has no column {wanted!r}{self._nearest(wanted)}")
 
@@ -110,8 +109,7 @@ class Table:
         infinite = np.flatnonzero(np.isinf(values))
         if infinite.size:
             raise ValueError(
-                f"column {name!r} of {self.source} is infinite at {self.row(infinite[0])}; correct or "
-                "empty the cell."
+                f"column {name!r} of {self.source} is infinite at {self.row(infinite[0])}; correct or empty the cell."
             )
         largest = np.nanmax(np.abs(values), initial=0.0)
         if largest > LARGEST_VALUE:
@@ -129,7 +127,6 @@ def _from_objects(table: Table, name: str, values: np.ndarray) -> np.ndarray:
             result[k] = np.nan if value is None else float(value)
         except (TypeError, ValueError):
             raise ValueError(
-                f"column {name!r} of {table.source} holds the text {str(value)!r} at {table.row(k)}; give "
-                "numbers."
+                f"column {name!r} of {table.source} holds the text {str(value)!r} at {table.row(k)}; give numbers."
             ) from None
     return result

@@ -49,7 +49,7 @@ def save(result_or_model, path) -> None:
         document |= {f"base_{key}": value for key, value in base.items()}
     buffer = io.BytesIO()
     np.savez(buffer, **{key: np.asarray(value) for key, value in document.items()})
-    _write_whole(buffer.getvalue(), path)
+    write_whole(buffer.getvalue(), path)
 
 
 def model_document(model: MechanicalModel) -> dict:
@@ -86,6 +86,16 @@ def load(path) -> MechanicalModel:
         raise ValueError(f"{path}: {error}") from None
 
 
+def given(path) -> dict[str, int]:
+    """What a model file says itself, rather than leaving it to defaults: how many entries every key has, 0 for none.
+
+    **Arguments:** `path`: of a file that `load` reads.
+    """
+    path = Path(path)
+    document = _read_npz(path) if _kind(path) == ".npz" else _model_part(_read_json(path), path)
+    return {key: len(document.get(key) or ()) for key in ("input_map", "base", "effects", *TEXTS)}
+
+
 def write_json(obj, path) -> None:
     """Write strict JSON; the file is whole or not there.
 
@@ -94,17 +104,23 @@ def write_json(obj, path) -> None:
 
     **Raises:** `ValueError` for something that JSON has no word for.
     """
-    text = json.dumps(_plain(obj, ""), allow_nan=False, ensure_ascii=False, indent=1)
-    _write_whole((text + "\n").encode(), path)
+    text = json.dumps(plain(obj), allow_nan=False, ensure_ascii=False, indent=1)
+    write_whole((text + "\n").encode(), path)
 
 
-def _plain(obj, place: str):
+def plain(obj, place: str = ""):
+    """What JSON has words for: numbers, texts, lists, dictionaries; None for NaN and infinite numbers.
+
+    **Arguments:** `obj`; `place`: what it is called in an error; default nothing.
+
+    **Raises:** `ValueError` for something that JSON has no word for.
+    """
     if obj is None or isinstance(obj, bool | str):
         return obj
     if isinstance(obj, dict):
-        return {str(key): _plain(value, f"{place}.{key}") for key, value in obj.items()}
+        return {str(key): plain(value, f"{place}.{key}") for key, value in obj.items()}
     if isinstance(obj, list | tuple):
-        return [_plain(value, f"{place}[{k}]") for k, value in enumerate(obj)]
+        return [plain(value, f"{place}[{k}]") for k, value in enumerate(obj)]
     if isinstance(obj, int):
         return obj
     if isinstance(obj, float):
@@ -114,13 +130,11 @@ def _plain(obj, place: str):
     if hasattr(obj, "__array__"):
         array = np.asarray(obj)
         if array.dtype.kind in "biufU":
-            return _plain(array.tolist(), place)
-    raise ValueError(
-        f"{place.lstrip('.') or 'obj'} is a {type(obj).__name__}; give numbers, texts, lists, arrays."
-    )
+            return plain(array.tolist(), place)
+    raise ValueError(f"{place.lstrip('.') or 'obj'} is a {type(obj).__name__}; give numbers, texts, lists, arrays.")
 
 
-def _write_whole(content: bytes, path) -> None:
+def write_whole(content: bytes, path) -> None:
     """Through a file beside it, so that a reader never sees half of it."""
     path = Path(path)
     if not path.parent.is_dir():
@@ -170,11 +184,7 @@ def _read_npz(path: Path) -> dict:
             document = {key: file[key].tolist() for key in file.files}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path}: this is not an NPZ file of arrays ({error}).") from None
-    base = {
-        key: document.pop(f"base_{key}")
-        for key in ("kind", "direction", "relative")
-        if f"base_{key}" in document
-    }
+    base = {key: document.pop(f"base_{key}") for key in ("kind", "direction", "relative") if f"base_{key}" in document}
     return document | ({"base": base} if base else {})
 
 
@@ -202,8 +212,7 @@ def _model(document: dict) -> MechanicalModel:
 def _base(base):
     if not isinstance(base, dict) or base.get("kind") not in BASES or base.get("direction") is None:
         raise ValueError(
-            f"base is {base!r}; give an object with 'kind' (displacement or acceleration), 'direction' and "
-            "'relative'."
+            f"base is {base!r}; give an object with 'kind' (displacement or acceleration), 'direction' and 'relative'."
         )
     direction = jnp.asarray(_matrix("base direction", base["direction"]))
     return BASES[base["kind"]](direction, bool(base.get("relative", False)))

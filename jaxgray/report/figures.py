@@ -30,9 +30,7 @@ def compare(result: Identification, *, held_out: bool | None = None, record: int
     **Raises:** `ValueError` where there is no such record.
     """
     held_out = bool(result.validation) if held_out is None else held_out
-    fits, records = (
-        (result.validation, result.validation_records) if held_out else (result.estimation, result.records)
-    )
+    fits, records = (result.validation, result.validation_records) if held_out else (result.estimation, result.records)
     if not 0 <= record < len(fits):
         raise ValueError(f"record={record} is not there; there are {len(fits)} such records.")
     fit, data = fits[record], records[record]
@@ -52,9 +50,7 @@ def compare(result: Identification, *, held_out: bool | None = None, record: int
             below = figure.add_subplot(grid[2 * k + 1, column], sharex=above)
             above.tick_params(labelbottom=False)
             _trace(above, data, data.y[:, k], window, color=MEASURED, linewidth=2.2, label="measured")
-            _trace(
-                above, data, fit.simulated[:, k], window, color=SIMULATED, linewidth=0.9, label="simulated"
-            )
+            _trace(above, data, fit.simulated[:, k], window, color=SIMULATED, linewidth=0.9, label="simulated")
             _trace(below, data, fit.residual[:, k], window, color=RESIDUAL, linewidth=0.6, label="residual")
             for edge, label in ((-floor, None), (floor, "±2 σ of the noise")):
                 below.axhline(edge, color="black", linewidth=0.9, linestyle="--", label=label)
@@ -183,9 +179,7 @@ def bode(result: Identification, *, points: int = 600) -> Figure:
                 # Where it is hardly known the band reaches down to zero, which must not stretch the axis.
                 above.set_ylim(limits[0] / 3, limits[1] * 1.5)
                 wide = np.degrees(np.minimum(QUANTILE_95 * phase[:, k, j], np.pi))
-                below.fill_between(
-                    frequency, angle - wide, angle + wide, color=SIMULATED, alpha=0.25, linewidth=0
-                )
+                below.fill_between(frequency, angle - wide, angle + wide, color=SIMULATED, alpha=0.25, linewidth=0)
             for axis in (above, below):
                 for value in resonances:
                     axis.axvline(value, color=RESIDUAL, linewidth=0.8, linestyle=":")
@@ -234,9 +228,7 @@ def _frequencies(result: Identification, points: int):
 def _responses(result: Identification, omega: np.ndarray):
     """Response, and standard errors of magnitude and phase or None, each output as it is measured."""
     model = result.model
-    H, magnitude, phase = (
-        np.zeros((len(omega), model.dofs, model.inputs), kind) for kind in (complex, float, float)
-    )
+    H, magnitude, phase = (np.zeros((len(omega), model.dofs, model.inputs), kind) for kind in (complex, float, float))
     known = result.covariance is not None
     for kind in dict.fromkeys(model.measured):
         outputs = [k for k, one in enumerate(model.measured) if one == kind]
@@ -274,9 +266,7 @@ def sweep_map(sweep: Sweep) -> Figure:
         for k in np.ndindex(worst.shape):
             dark = np.isfinite(excess[k]) and excess[k] > 2.5
             text = "–" if np.isnan(worst[k]) else f"{worst[k]:.1f}"
-            axis.text(
-                k[1], k[0], text, ha="center", va="center", fontsize=8, color="white" if dark else "black"
-            )
+            axis.text(k[1], k[0], text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
         row, column = sweep.best_index
         corner = column - 0.46, row - 0.46
         axis.add_patch(Rectangle(corner, 0.92, 0.92, fill=False, edgecolor=RESIDUAL, linewidth=2.2))

@@ -48,9 +48,7 @@ def identification_document(result: Identification, warnings: tuple[str, ...] = 
         "refined": result.refinement is not None,
         "modes": modes_document(result),
         "zeros_hz": antiresonances(model),
-        "covariance": None
-        if spread is None
-        else {"names": list(spread.names), "matrix": spread.covariance.tolist()},
+        "covariance": None if spread is None else {"names": list(spread.names), "matrix": spread.covariance.tolist()},
         "condition_number": None if spread is None else spread.condition_number,
         "at_edge": None if spread is None else list(spread.at_edge),
         "weak_directions": None if spread is None else list(spread.weak_directions),

@@ -11,6 +11,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ..numerics.progress import AbstractProgress, Silent
+from ..numerics.text import plus_minus
 
 WIDTH = 110
 MATRICES = ("mass", "damping", "stiffness")
@@ -69,35 +70,12 @@ def progress(*, quiet: bool = False, verbose: bool = False):
             yield RichProgress(bar)
 
 
-def plus_minus(value: float | None, error: float | None = None) -> str:
-    """A value ± one standard error, the error to two digits and the value to the same place.
-
-    An error of zero belongs to a value that was given, not estimated.
-    """
-    if value is None or not math.isfinite(value):
-        return "–"
-    if error is None or not math.isfinite(error):
-        return f"{value:.5g}"
-    if error == 0:
-        return f"{value:.5g} (fixed)"
-    size = max(abs(value), error)
-    exponent = math.floor(math.log10(size))
-    power = exponent if exponent < -3 or exponent > 5 else 0
-    decimals = max(0, 1 - math.floor(math.log10(error)) + power)
-    text = f"{value / 10**power:.{decimals}f} ± {error / 10**power:.{decimals}f}"
-    return f"({text})e{power:+03d}" if power else text
-
-
 def verdict(document: dict) -> str:
     """The outcome of an identification in one sentence."""
     model, fits = document["model"], document["fit_percent"]
     held_out = "validation" in fits
     values = list(fits["validation" if held_out else "estimation"].values())
-    shown = (
-        ", ".join(f"{v:.1f} %" for v in values)
-        if len(values) <= 4
-        else f"{min(values):.1f} to {max(values):.1f} %"
-    )
+    shown = ", ".join(f"{v:.1f} %" for v in values) if len(values) <= 4 else f"{min(values):.1f} to {max(values):.1f} %"
     drive = model.get("input_map") or model["base"]["direction"]
     where = "on data the fit has not seen" if held_out else "on the data of the fit"
     colour = "white" if document["residual_test"]["white"] else "not white"
@@ -122,7 +100,7 @@ def show_identification(out: Console, document: dict) -> None:
     out.print(_mode_table(document))
     for line in (*_test_lines(document), _start_line(document["start"])):
         out.print(line, soft_wrap=True)
-    _show_warnings(out, document["warnings"])
+    show_warnings(out, document["warnings"])
 
 
 def new_table(title: str, *columns: str) -> Table:
@@ -167,9 +145,7 @@ def _fit_table(document: dict) -> Table:
 
 
 def _mode_table(document: dict) -> Table:
-    table = new_table(
-        "mode", "natural frequency [Hz]", "damping ratio [%]", *document["model"]["output_names"]
-    )
+    table = new_table("mode", "natural frequency [Hz]", "damping ratio [%]", *document["model"]["output_names"])
     for k, mode in enumerate(document["modes"]):
         shape = np.array(mode["shape"])
         ratio, error = mode["damping_ratio"], mode["damping_ratio_standard_error"]
@@ -219,9 +195,7 @@ def show_sweep(out: Console, document: dict) -> None:
     )
     table = new_table("τ [s]", *(f"i = {i}" for i in document["block_rows"]))
     for tau, row in zip(document["time_constants"], cells):
-        table.add_row(
-            f"{tau:.4g}", *(_cell_text(cell, cell is best or _same(cell, best), kind) for cell in row)
-        )
+        table.add_row(f"{tau:.4g}", *(_cell_text(cell, cell is best or _same(cell, best), kind) for cell in row))
     out.print(table)
     out.print(f"fit in % of the worst output, {kind} record; * best, – no stable model", soft_wrap=True)
     out.print(f"{document['unstable']} unstable, {document['failed']} without a model", soft_wrap=True)
@@ -231,7 +205,7 @@ def show_sweep(out: Console, document: dict) -> None:
         for place, row in zip(places, best[name]):
             table.add_row(place, *(f"{v:.5g}" for v in row))
         out.print(table)
-    _show_warnings(out, document["warnings"])
+    show_warnings(out, document["warnings"])
 
 
 def _same(cell: dict, best: dict) -> bool:
@@ -255,9 +229,10 @@ def show_simulation(out: Console, document: dict) -> None:
     for name, fit in document["fit_percent"].items():
         table.add_row(name, f"{fit:.2f} %", f"{document['rmse'][name]:.3g}", document["units"][name])
     out.print(table)
-    _show_warnings(out, document["warnings"])
+    show_warnings(out, document["warnings"])
 
 
-def _show_warnings(out: Console, warnings: list[str]) -> None:
+def show_warnings(out: Console, warnings: list[str]) -> None:
+    """Every warning, wrapped, in its colour."""
     for text in warnings:
         out.print(textwrap.fill(f"warning: {text}", out.width, subsequent_indent="  "), style="yellow")

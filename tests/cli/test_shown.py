@@ -11,7 +11,6 @@ import pytest
 from independent import REFERENCE, REFERENCE_TIME, reference_record, relative_errors
 
 import jaxgray
-from jaxgray import demonstration
 from jaxgray.cli import main
 from jaxgray.report.figures import MOST_POINTS, bode, compare, residuals, sweep_map
 
@@ -113,8 +112,7 @@ def test_warnings_of_the_reader_are_told_and_kept(records, tmp_path, capsys):
     told = [line for line in said.err.splitlines() if line.startswith("warning: gap.csv: 3 of 3000")]
     assert len(told) == 1
     assert any(
-        text.startswith("gap.csv: 3 of 3000")
-        for text in strict((tmp_path / "out.json").read_text())["warnings"]
+        text.startswith("gap.csv: 3 of 3000") for text in strict((tmp_path / "out.json").read_text())["warnings"]
     )
 
 
@@ -153,30 +151,6 @@ def test_sweep_tabulates_every_choice(records, tmp_path, capsys):
     assert np.all(relative_errors([best["mass"]], [REFERENCE["M"]]) < 0.02)
     assert capsys.readouterr().out.startswith("Best of 4: time constant")
     assert (tmp_path / "sweep_map.png").exists()
-
-
-def test_demo_writes_what_it_simulated(tmp_path, capsys, monkeypatch):
-    # Shorter records, of the shapes that the other tests have compiled.
-    made = demonstration.demonstrate(7, samples=3000)
-    monkeypatch.setattr(demonstration, "demonstrate", lambda seed, progress: made if seed == 7 else None)
-    run("demo", "--seed", "7", "--out", tmp_path / "new" / "demo")
-    folder = tmp_path / "new" / "demo"
-    for name in ("estimation", "validation"):
-        again = jaxgray.read_record(folder / f"{name}.csv", inputs=["u1", "u2"], outputs=["y1", "y2"])
-        record = getattr(made, name)
-        np.testing.assert_array_equal(again.u, record.u)
-        np.testing.assert_array_equal(again.y, record.y)
-        assert again.sampling_time == record.sampling_time
-        assert again.input_units == ("N", "N") and again.output_units == ("m", "m")
-    truth = strict((folder / "truth.json").read_text())
-    np.testing.assert_array_equal(truth["stiffness"], REFERENCE["K"])
-    assert strict((folder / "result.json").read_text())["schema"] == "jaxgray/identification/1"
-    said = capsys.readouterr().out
-    for text in ("subspace start", "refined", "published", "0.0303", "0.125", "0.00108", "without noise"):
-        assert text in said
-    assert np.all(made.clean_fit_percent > 99.5)
-    run("demo", "--seed", "7", "--quiet")
-    assert capsys.readouterr().out == ""
 
 
 def record(seed):
@@ -264,9 +238,7 @@ def test_sweep_map():
     fit[1, 1] = np.nan
     fit[2, 0] = 98.0
     matrices = [np.zeros((3, 2, 2, 2))] * 3
-    found = jaxgray.Sweep(
-        np.array([0.01, 0.03, 0.1]), np.array([4, 6]), fit, None, *matrices, 1, 0, ("y1", "y2")
-    )
+    found = jaxgray.Sweep(np.array([0.01, 0.03, 0.1]), np.array([4, 6]), fit, None, *matrices, 1, 0, ("y1", "y2"))
     assert found.best_index == (2, 0) and found.best["time_constant"] == 0.1
     assert "98.00*" in repr(found) and "1 of 6 choices unstable" in repr(found) and "–" in repr(found)
     figure = sweep_map(found)

@@ -55,8 +55,7 @@ def test_sixty_realisations_reach_the_cramer_rao_bound(bound):
     deviations, standard = np.array(deviations), np.array(standard)
     twice = np.tile([1.0, 2.0, 1.0], 3)
     ratio = np.sqrt(
-        (twice * np.mean(deviations**2, axis=0)).reshape(3, 3).sum(1)
-        / (twice * np.diag(bound)).reshape(3, 3).sum(1)
+        (twice * np.mean(deviations**2, axis=0)).reshape(3, 3).sum(1) / (twice * np.diag(bound)).reshape(3, 3).sum(1)
     )
     assert np.all((ratio > 0.8) & (ratio < 1.25)), ratio
     np.testing.assert_allclose(np.mean(standard, axis=0), np.sqrt(np.diag(bound)), rtol=0.05)
@@ -149,15 +148,11 @@ def test_start_on_the_edge_with_a_regular_truth():
     record = record_of(6, noise=0.0)
     scaling = scaling_of([record])
     model = MechanicalModel(*TRUTH)
-    setting = Setting(
-        model.drive.scaled(scaling.coordinates, scaling.inputs, H), record.measured, record.hold
-    )
+    setting = Setting(model.drive.scaled(scaling.coordinates, scaling.inputs, H), record.measured, record.hold)
     M, D, K = scaling.matrices_in(*(jnp.asarray(X) for X in TRUTH))
     rank_one = [jnp.outer(X[:, 0], X[:, 0]) / X[0, 0] for X in (D, K)]
     end = refine((1.1 * M, *rank_one), Batch.of([prepare(record, scaling)]), setting)
-    assert (
-        data.relative_errors(scaling.matrices_out(end.mass, end.damping, end.stiffness), TRUTH).max() < 1e-6
-    )
+    assert data.relative_errors(scaling.matrices_out(end.mass, end.damping, end.stiffness), TRUTH).max() < 1e-6
 
 
 def test_short_noisy_records_stay_physical():

@@ -106,15 +106,11 @@ def test_twins_give_the_same_model(indefinite):
         D = np.array([[1.0, 2.0], [2.0, 1.0]])
     realization, fit = problem_at(M, D, K, np.linalg.inv(M))
     exact = from_inverse_mass(realization, fit, jnp.eye(2), ClarabelSolver())
-    traced = jax.jit(lambda r, f: from_inverse_mass(r, f, jnp.eye(2), ProjectedGradientSolver()))(
-        realization, fit
-    )
+    traced = jax.jit(lambda r, f: from_inverse_mass(r, f, jnp.eye(2), ProjectedGradientSolver()))(realization, fit)
     assert data.relative_errors(traced, [np.asarray(X) for X in exact]).max() < 1e-6
     assert np.linalg.eigvalsh(np.asarray(exact[1]))[0] > -1e-9
     if not indefinite:
-        joint, reach = jointly(
-            realization, (jnp.asarray(np.linalg.inv(M) * 0.05**2), jnp.eye(2)), ClarabelSolver()
-        )
+        joint, reach = jointly(realization, (jnp.asarray(np.linalg.inv(M) * 0.05**2), jnp.eye(2)), ClarabelSolver())
         assert reach > 1e-6
         assert data.relative_errors(joint, [np.asarray(X) for X in exact]).max() < 1e-9
 

@@ -132,9 +132,7 @@ def test_json_is_strict_and_whole(tmp_path):
 
 
 def test_one_screen(matrices):
-    text = repr(
-        MechanicalModel(*matrices, input_units=["N"] * 2, output_units=["mm/s"] * 2, measured="velocity")
-    )
+    text = repr(MechanicalModel(*matrices, input_units=["N"] * 2, output_units=["mm/s"] * 2, measured="velocity"))
     for part in ("mass [N s^2/mm]", "damping [N s/mm]", "stiffness [N/mm]", "y1 [mm/s] velocity", "u2 [N]"):
         assert part in text
     assert len(text.splitlines()) < 20

@@ -81,9 +81,7 @@ def test_units_do_not_matter(size, rate):
     units = np.diag(size ** np.array([0.0, 1.0, -0.5, 0.5]))
     scaled = (units @ X @ units * rate**p for X, p in ((M, 0), (D, 1), (K, 2)))
     found = zeros(MechanicalModel(*scaled), input=1, output=2).values
-    np.testing.assert_allclose(
-        found / rate, zeros(MechanicalModel(M, D, K), input=1, output=2).values, rtol=1e-6
-    )
+    np.testing.assert_allclose(found / rate, zeros(MechanicalModel(M, D, K), input=1, output=2).values, rtol=1e-6)
 
 
 def test_named_failures(model):

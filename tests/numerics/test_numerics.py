@@ -107,9 +107,7 @@ def problems(count):
         wanted = [np.diag([1.0, -1.0]), np.array([[1.0, 2.0], [2.0, 1.0]]), np.eye(2)]
         target = F @ np.concatenate([symmetric_vector(jnp.asarray(X)) for X in wanted])
         target = target + 0.1 * rng.standard_normal(30)
-        yield PositiveLeastSquares.from_residual(
-            jnp.asarray(F), jnp.asarray(target), (2, 2, 2), (1e-3, 0.0, 0.0)
-        )
+        yield PositiveLeastSquares.from_residual(jnp.asarray(F), jnp.asarray(target), (2, 2, 2), (1e-3, 0.0, 0.0))
 
 
 def test_twins_agree():

@@ -20,9 +20,7 @@ MEASURED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 def test_time_is_found_and_becomes_seconds(write, name, unit, seconds):
     header = f"u,{name} [{unit}],y" if unit else f"u,{name},y"
     record = read_record(write(f"{header}\n1,10,2\n3,12,4\n5,14,6\n"), inputs="u", outputs="y")
-    assert record.sampling_time == pytest.approx(2 * seconds) and record.start_time == pytest.approx(
-        10 * seconds
-    )
+    assert record.sampling_time == pytest.approx(2 * seconds) and record.start_time == pytest.approx(10 * seconds)
 
 
 def test_sampling_time_needs_no_column_and_time_may_be_any(write):
@@ -47,9 +45,7 @@ def test_rows_missing_from_the_clock_become_missing_outputs(text, tmp_path_facto
     t = 3.0 + step * (kept + rng.uniform(-1e-3, 1e-3, len(kept)))
     path = tmp_path_factory.mktemp("gaps") / "gaps.csv"
     path.write_text(text("t,u,y", t, u[kept], y[kept]))
-    with pytest.warns(
-        RecordWarning, match=f"gaps.csv: {len(dropped)} of 100 samples are missing in the time column"
-    ):
+    with pytest.warns(RecordWarning, match=f"gaps.csv: {len(dropped)} of 100 samples are missing in the time column"):
         record = read_record(path, inputs="u", outputs="y")
     assert record.samples == 100 and record.sampling_time == pytest.approx(step, rel=1e-4)
     np.testing.assert_array_equal(np.flatnonzero(record.missing[:, 0]), sorted(dropped))

@@ -128,9 +128,7 @@ def test_objects_in_an_npz_are_never_unpickled(tmp_path):
         read_record(tmp_path / "a.npz", inputs="extra", outputs="y", sampling_time=0.1)
 
 
-@pytest.mark.parametrize(
-    "suffix, module, extra", [(".h5", "h5py", "hdf5"), (".parquet", "pyarrow", "parquet")]
-)
+@pytest.mark.parametrize("suffix, module, extra", [(".h5", "h5py", "hdf5"), (".parquet", "pyarrow", "parquet")])
 def test_a_missing_extra_is_named(write, monkeypatch, suffix, module, extra):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ImportError, match=rf"needs {module}: pip install 'jaxgray\[{extra}\]'"):

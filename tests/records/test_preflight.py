@@ -318,9 +318,7 @@ def test_the_step_of_a_grid_survives_offset_sparse_levels_and_rounding(step, off
     rng = np.random.default_rng(0)
     y = step * (np.rint(30 * rng.standard_normal(2000)) + offset)
     assert grid_step(y) == pytest.approx(step, rel=1e-6)
-    assert grid_step(step * (2 * rng.integers(0, 50, 500) + 3 * rng.integers(0, 2, 500))) == pytest.approx(
-        step
-    )
+    assert grid_step(step * (2 * rng.integers(0, 50, 500) + 3 * rng.integers(0, 2, 500))) == pytest.approx(step)
     printed = np.array([float(f"{value:.6g}") for value in y])
     assert grid_step(printed) == pytest.approx(step, rel=1e-3)
     assert grid_step(rng.standard_normal(2000)) is None

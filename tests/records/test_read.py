@@ -109,9 +109,7 @@ def test_missing_cells_are_missing_outputs_and_wrong_inputs(write, gap):
     path = write(f"t,u,y\n0,1,2\n1,2,{gap}\n2,3,4\n")
     record = read_record(path, inputs="u", outputs="y")
     np.testing.assert_array_equal(record.y[:, 0], [2, np.nan, 4])
-    with pytest.raises(
-        ValueError, match="inputs: column 'y' of record.csv has 1 missing values, the first at line 3"
-    ):
+    with pytest.raises(ValueError, match="inputs: column 'y' of record.csv has 1 missing values, the first at line 3"):
         read_record(path, inputs="y", outputs="u")
 
 

@@ -33,9 +33,7 @@ def test_one_dimension_is_one_column_and_data_is_copied_and_read_only():
     record = Record(u, [5, 4, 3, 2, 1], 1, measured="velocity", input_names="force", input_units="N")
     u[0] = 99.0
     assert record.u.shape == (5, 1) and record.u[0, 0] == 0.0 and record.y.dtype == np.float64
-    assert (
-        record.input_names == ("force",) and record.input_units == ("N",) and record.measured == ("velocity",)
-    )
+    assert record.input_names == ("force",) and record.input_units == ("N",) and record.measured == ("velocity",)
     with pytest.raises(ValueError, match="read-only"):
         record.u[0, 0] = 1.0
     with pytest.raises(AttributeError):
@@ -96,9 +94,7 @@ def test_slices_keep_the_clock_and_the_channels():
     part = record[20:50]
     np.testing.assert_array_equal(part.u, record.u[20:50])
     np.testing.assert_array_equal(part.scheduling, np.arange(20.0, 50.0))
-    assert (
-        part.start_time == pytest.approx(1.2) and part.hold == "linear" and part.scheduling_name == "position"
-    )
+    assert part.start_time == pytest.approx(1.2) and part.hold == "linear" and part.scheduling_name == "position"
     np.testing.assert_array_equal(record[-10:].y, record.y[-10:])
     np.testing.assert_array_equal(record.between(1.2, 1.5).u, part.u)
     np.testing.assert_array_equal(record.between(stop=1.5).u, record.u[:50])
@@ -233,9 +229,7 @@ def test_compatible_records_may_lack_units_and_differ_in_length():
 
 def test_repr_is_one_screen():
     y = np.array([[1.0, 2.0], [np.nan, 4.0], [3.0, -6.0]])
-    text = repr(
-        Record([1, 2, 2], y, 0.5, input_names="force", input_units="N", measured="velocity", start_time=3.0)
-    )
+    text = repr(Record([1, 2, 2], y, 0.5, input_names="force", input_units="N", measured="velocity", start_time=3.0))
     lines = text.splitlines()
     assert lines[0] == "Record: 3 samples, 1.5 s at 2 Hz, zero hold, from 3 s"
     assert lines[2].split() == ["input", "force", "N", "1.732", "1", "2", "0"]

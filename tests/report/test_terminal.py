@@ -53,9 +53,7 @@ def test_units_are_composed():
 
 def test_mixed_units_make_the_same_work():
     eye = np.eye(2)
-    one = MechanicalModel(
-        eye, eye, eye, drive=Force(eye[:, :1]), input_units=("N",), output_units=("m", "rad")
-    )
+    one = MechanicalModel(eye, eye, eye, drive=Force(eye[:, :1]), input_units=("N",), output_units=("m", "rad"))
     assert matrix_units(one)["stiffness"] == [["N/m", "N/rad"], ["N/rad", "N m/(rad rad)"]]
 
 

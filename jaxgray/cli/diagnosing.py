@@ -1,0 +1,164 @@
+"""The commands around the diagnosis: what is wrong with a model, which effects are known, a demonstration."""
+
+import functools
+
+from .arguments import (
+    Channels,
+    Demonstrating,
+    Diagnosing,
+    Excitation,
+    File,
+    Fitting,
+    Listing,
+    Output,
+    Talk,
+    takes_groups,
+    words,
+)
+from .finishing import drawn, finish, subspace_options
+
+HOLDOUT = 0.3
+"""Share of the record that is held out where nothing else is said."""
+
+
+@takes_groups
+def diagnose(
+    file: File,
+    channels: Channels,
+    excitation: Excitation,
+    fitting: Fitting,
+    diagnosing: Diagnosing,
+    output: Output,
+    talk: Talk,
+) -> None:
+    """Say what a model of the record gets wrong, name the cause, add it, and prove the gain on held-out data.
+
+    The model is fitted to the record, or given by --model. Without --validation and --holdout the last 30 % of the
+    record are held out.
+    """
+    from ..report import terminal
+    from . import files
+
+    files.check_holdout(channels)
+    files.check_places(output.json, diagnosing.experiment)
+    _check(fitting, diagnosing)
+    options = subspace_options(excitation)
+    notes: list[str] = []
+    with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
+        progress.stage("reading")
+        record = files.read(file.file, file, channels, notes)
+        validation = None if channels.validation is None else files.read(channels.validation, file, channels, notes)
+        progress.stage("starting")
+        from .environment import prepare
+
+        prepare(verbose=talk.verbose)
+        only, exclude = ids("--only", diagnosing.only), ids("--exclude", diagnosing.exclude)
+        model = None
+        if diagnosing.model is not None:
+            model = files.own_model(diagnosing.model, record, excitation, notes)
+        from ..diagnosis.diagnose import diagnose
+        from ..report.diagnosis_summary import diagnosis_document
+        from ..report.diagnosis_terminal import show_diagnosis
+
+        result = diagnose(
+            record,
+            validation=validation,
+            model=model,
+            structure=words(fitting.structure),
+            fix=fitting.fix,
+            noise=fitting.noise,
+            only=only,
+            exclude=exclude,
+            max_effects=diagnosing.max_effects,
+            seed=diagnosing.seed,
+            progress=progress,
+            holdout=HOLDOUT if channels.holdout is None else channels.holdout,
+            **options,
+        )
+        progress.stage("reporting")
+        if diagnosing.experiment is not None and result.next_experiment is None:
+            notes.append(f"{diagnosing.experiment} is not written: there is no experiment to propose.")
+        document = diagnosis_document(result, tuple(notes))
+        written = drawn(output.figures, "diagnosis_figures", ("extension",), result)
+        if result.identification is not None:
+            written |= drawn(output.figures, "figures", ("compare", "residuals", "bode"), result.identification)
+        if diagnosing.experiment is not None and result.next_experiment is not None:
+            proposed = result.next_experiment
+            columns = files.input_columns(record, proposed.input, proposed.sampling_time)
+            written[diagnosing.experiment] = files.columns_text(columns).encode()
+    show = functools.partial(show_diagnosis, verbose=talk.verbose)
+    finish(document, show, talk, output.json, written, notes)
+
+
+def _check(fitting: Fitting, diagnosing: Diagnosing) -> None:
+    """Raise `ValueError` for options that do not go together, or numbers that are none."""
+    if fitting.no_refine:
+        raise ValueError("--no-refine: a diagnosis needs the refined model; leave the option out.")
+    if diagnosing.model is not None and (fitting.structure, fitting.fix) != (None, None):
+        raise ValueError("--structure and --fix are about a model that is fitted; leave them out with --model.")
+    if diagnosing.max_effects < 0:
+        raise ValueError(f"--max-effects={diagnosing.max_effects} is negative; give a whole number from 0.")
+    if diagnosing.seed < 0:
+        raise ValueError(f"--seed={diagnosing.seed} is negative; give a whole number from 0.")
+
+
+def ids(option: str, text: str | None) -> tuple[str, ...] | None:
+    """Ids of effects with commas, None for none; a `ValueError` names the option and what may have been meant."""
+    if text is None:
+        return None
+    from ..mechanics.effects import by_id
+
+    found = words(text)
+    if not found:
+        raise ValueError(f"{option} is empty; name one or several effects, with commas between.")
+    try:
+        return tuple(by_id(one).id for one in found)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from None
+
+
+@takes_groups
+def effects(listing: Listing) -> None:
+    """List every effect that a diagnosis can name: law, parameters with units, places, what gives it away."""
+    from . import files
+    from .environment import prepare
+
+    files.check_places(listing.json)
+    prepare()
+    from ..report.catalogue import catalogue_document, show_catalogue
+
+    document = catalogue_document() | {"warnings": []}
+    finish(document, show_catalogue, Talk(), listing.json, {}, [])
+
+
+@takes_groups
+def demo(demonstrating: Demonstrating, talk: Talk) -> None:
+    """Simulate a system of known mass, damping and stiffness with a hidden effect, diagnose it, and compare."""
+    from ..report import terminal
+
+    with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
+        progress.stage("starting")
+        from .environment import prepare
+
+        prepare(verbose=talk.verbose)
+        from .. import demonstration
+        from ..report import export
+        from ..report.diagnosis_summary import diagnosis_document
+        from . import files
+
+        made = demonstration.demonstrate(demonstrating.effect, demonstrating.seed, progress=progress)
+        document = diagnosis_document(made.diagnosis)
+        written = {}
+        if demonstrating.out is not None:
+            folder = demonstrating.out
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, record in (("estimation", made.estimation), ("validation", made.validation)):
+                text = files.columns_text(files.record_columns(record))
+                written[folder / f"{name}.csv"] = text.encode()
+    for path, content in written.items():
+        export.write_whole(content, path)
+    if demonstrating.out is not None:
+        export.write_json(demonstration.truth_document(made), demonstrating.out / "truth.json")
+        export.write_json(document, demonstrating.out / "result.json")
+    if not talk.quiet:
+        demonstration.show(terminal.console(), made, document)

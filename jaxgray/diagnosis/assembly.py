@@ -1,0 +1,233 @@
+"""From what the loop found to a `Diagnosis`: parameters with units, tables, budget and verdict."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..identification.validation import fit_of
+from ..mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term
+from ..mechanics.model import MechanicalModel
+from ..records import Record
+from .competitor import FlexibleForce
+from .extension import Layout, Refit
+from .growth import Accepted, Growth, residual_rms
+from .judgement import FreeRun
+from .problem import Candidate, Setup
+from .refitting import Bench
+from .result import (
+    Curves,
+    Estimate,
+    Finding,
+    Member,
+    ModelSummary,
+    NotFound,
+    ParameterShift,
+)
+from .screening import Screening
+
+
+def unit_text(powers: tuple[int, int, int], force: str, length: str) -> str:
+    """Unit of a parameter as text, such as N/m^3; empty where a unit that it needs is not given."""
+    names = (force, length, "s")
+    if any(power and not name for power, name in zip(powers, names)):
+        return ""
+    over = [_power(n, p) for n, p in zip(names, powers) if p > 0]
+    under = [_power(n, -p) for n, p in zip(names, powers) if p < 0]
+    if not under:
+        return " ".join(over)
+    bottom = under[0] if len(under) == 1 else f"({' '.join(under)})"
+    return f"{' '.join(over) or '1'}/{bottom}"
+
+
+def _power(name: str, power: int) -> str:
+    base = f"({name})" if any(c in name for c in " /*") and power != 1 else name
+    return base if power == 1 else f"{base}^{power}"
+
+
+def units_at(term: Term, record: Record) -> tuple[str, str]:
+    """Units of force and length for the parameters of a term."""
+    first = term.place.first
+    if isinstance(term.effect, AbstractOutputEffect):
+        return record.input_units[0], record.output_units[first]
+    if isinstance(term.effect, AbstractInputEffect):
+        return record.input_units[first], record.output_units[min(first, record.outputs - 1)]
+    if term.effect.places == "input":
+        return record.input_units[first], record.output_units[min(first, record.outputs - 1)]
+    return record.input_units[min(first, record.inputs - 1)], record.output_units[first]
+
+
+def estimates_of(term: Term, errors: dict[int, float], record: Record) -> dict[str, Estimate]:
+    """Parameters of a term by symbol; those of the same name as one list.
+
+    **Arguments:** `term`; `errors`: standard error by position, for those that were estimated; `record`.
+    """
+    force, length = units_at(term, record)
+    result: dict[str, Estimate] = {}
+    for j, (parameter, value) in enumerate(zip(term.effect.parameters, np.asarray(term.values, float))):
+        unit = unit_text(parameter.unit, force, length)
+        if parameter.choices:
+            result[parameter.name] = Estimate(parameter.choices[int(round(float(value)))], None, "")
+            continue
+        new = Estimate(float(value), errors.get(j), unit)
+        if parameter.name in result:
+            old = result[parameter.name]
+            values = old.value if isinstance(old.value, tuple) else (old.value,)
+            spread = old.standard_error if isinstance(old.standard_error, tuple) else (old.standard_error,)
+            new = Estimate((*values, new.value), (*spread, new.standard_error), unit)
+        result[parameter.name] = new
+    return result
+
+
+def term_errors(fit: Refit, setup: Setup, index: int) -> dict[int, float]:
+    """Standard errors of one term's parameters, by position."""
+    layout = Layout(setup, fit.candidate)
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    return {j: float(errors[layout.first + at]) for at, (k, j) in enumerate(layout.terms) if k == index}
+
+
+def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, ...]:
+    """Everything that was accepted, in order, with the class of each."""
+    found = []
+    setup = bench.simulator.setup
+    for k, accepted in enumerate(growth.accepted):
+        members = [_member(accepted.attempt.fit, growth.fit, k, setup, record, 0.0)]
+        for rival in accepted.rivals:
+            difference = accepted.attempt.criterion - rival.criterion
+            members.append(_member(rival.fit, None, len(rival.fit.candidate.terms) - 1, setup, record, difference))
+        found.append(
+            Finding(
+                *accepted.attempt.name,
+                "named" if len(members) == 1 else "equivalent",
+                "model",
+                tuple(members),
+                members[0].parameters,
+                float(accepted.attempt.delta_bic),
+                accepted.gain,
+            )
+        )
+    return tuple(found)
+
+
+def _member(fit: Refit, final: Refit | None, index: int, setup: Setup, record: Record, difference: float) -> Member:
+    fit = fit if final is None else final
+    term = fit.candidate.terms[index]
+    parameters = estimates_of(term, term_errors(fit, setup, index), record)
+    return Member(term.effect.id, term.place.name, float(difference), parameters)
+
+
+def model_of(candidate: Candidate, like: MechanicalModel, setup: Setup) -> MechanicalModel:
+    """The model of a candidate, its terms among its effects."""
+    M, D, K = (np.asarray(X) for X in setup.matrices(jnp.asarray(candidate.entries)))
+    return MechanicalModel(
+        (M + M.T) / 2,
+        (D + D.T) / 2,
+        (K + K.T) / 2,
+        drive=like.drive,
+        measured=like.measured,
+        input_names=like.input_names,
+        output_names=like.output_names,
+        input_units=like.input_units,
+        output_units=like.output_units,
+        effects=candidate.terms,
+    )
+
+
+def matrix_errors(fit: Refit, setup: Setup) -> dict[str, np.ndarray]:
+    """Standard errors of every entry of mass, damping and stiffness."""
+    entries = jnp.asarray(fit.candidate.entries)
+    slopes = jax.jacfwd(setup.matrices)(entries)
+    covariance = fit.covariance[: len(entries), : len(entries)]
+    return {
+        name: np.sqrt(np.maximum(np.einsum("ijk,kl,ijl->ij", J, covariance, J), 0.0))
+        for name, J in zip(("mass", "damping", "stiffness"), map(np.asarray, slopes))
+    }
+
+
+def summary_of(
+    model: MechanicalModel, errors, estimation: FreeRun, validation: list[FreeRun], records: list[Record], held: list
+) -> ModelSummary:
+    """Fits of one model on both kinds of data; the held-out ones without the head that gave the first state."""
+    fits = {"estimation": _fit(records[:1], [estimation])}
+    if validation:
+        fits["validation"] = _fit(held, validation)
+    names = model.output_names
+    return ModelSummary(
+        model,
+        errors,
+        {kind: dict(zip(names, map(float, fit[0]))) for kind, fit in fits.items()},
+        {kind: dict(zip(names, map(float, fit[1]))) for kind, fit in fits.items()},
+    )
+
+
+def _fit(records, runs):
+    measured, simulated = [], []
+    for record, run in zip(records, runs):
+        n = record.samples
+        keep = run.kept[:n]
+        measured.append(np.where(keep, record.y, np.nan))
+        simulated.append(run.simulated[:n])
+    fit = fit_of(np.concatenate(measured), np.concatenate(simulated))
+    return fit.fit_percent, fit.rmse
+
+
+def shifts_of(before: MechanicalModel, after: MechanicalModel, errors) -> tuple[ParameterShift, ...]:
+    """What every entry of M, D, K was with and without the terms."""
+    result = []
+    for name in ("mass", "damping", "stiffness"):
+        old, new = np.asarray(getattr(before, name)), np.asarray(getattr(after, name))
+        for r in range(len(old)):
+            for c in range(r, len(old)):
+                error = None if errors is None else float(errors[name][r, c])
+                result.append(ParameterShift(f"{name}[{r},{c}]", float(old[r, c]), float(new[r, c]), error))
+    return tuple(result)
+
+
+def not_found_of(screening: Screening, bench: Bench, record: Record, taken: frozenset) -> tuple[NotFound, ...]:
+    """Every other candidate, with the smallest size that would have been seen in this record."""
+    result = []
+    for (effect, place), score in screening.best_by_place().items():
+        if effect == FlexibleForce.id or (effect, place) in taken or score.delta_bic >= screening.threshold:
+            continue
+        shape = score.shape
+        values = np.array(shape.values, float)
+        amplitudes = [j for j, p in enumerate(shape.effect.parameters) if p.amplitude]
+        values[amplitudes] = np.abs(values[amplitudes]) * score.smallest
+        term = Term(shape.effect, shape.place, values)
+        smallest = estimates_of(term, {}, record)
+        names = [shape.effect.parameters[j].name for j in amplitudes] or list(smallest)
+        result.append(NotFound(effect, place, {name: smallest[name] for name in names}))
+    return tuple(result)
+
+
+def budget_of(growth: Growth, bench: Bench, floor: np.ndarray) -> dict[str, float]:
+    """Share of every finding, noise and the unexplained in the mean square error of the baseline, in percent."""
+    data = bench.data[0]
+
+    def power(e):
+        return float(np.mean((residual_rms(e, data) / floor) ** 2))
+
+    before = power(growth.start.e)
+    shares, last = {}, before
+    for accepted in growth.accepted:
+        now = power(accepted.attempt.fit.residual[0])
+        shares[f"{accepted.attempt.name[0]} at {accepted.attempt.name[1]}"] = 100 * (last - now) / before
+        last = now
+    noise = min(1.0, last)
+    return {**shares, "noise": 100 * noise / before, "unexplained": 100 * max(last - noise, 0.0) / before}
+
+
+def curves_of(bench: Bench, growth: Growth, records: list[Record], held: list[Record]) -> tuple[Curves, ...]:
+    """Series for the figures: the estimation record, then those held out."""
+    result = []
+    pairs = [(records[0], growth.start.motion.y, growth.stage.motion.y, False)]
+    for record, before, after in zip(held, growth.baseline_runs, growth.runs):
+        pairs.append((record, before.simulated, after.simulated, True))
+    for record, before, after, held_out in pairs:
+        n = record.samples
+        result.append(Curves(record.time, record.y, before[:n], after[:n], held_out))
+    return tuple(result)
+
+
+def accepted_names(accepted: list[Accepted]) -> frozenset:
+    """Effects and places that were accepted."""
+    return frozenset(a.attempt.name for a in accepted)

@@ -1,0 +1,238 @@
+"""What the simulation gets wrong, why, and what mending it buys: the pipeline, nothing else."""
+
+import difflib
+
+import numpy as np
+
+from ..identification import Identification, identify
+from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
+from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
+from ..mechanics.model import MechanicalModel
+from ..numerics.progress import AbstractProgress, Silent
+from ..numerics.runtime import ready
+from ..records import Record, check_compatible
+from .assembly import (
+    accepted_names,
+    budget_of,
+    curves_of,
+    findings_of,
+    matrix_errors,
+    model_of,
+    not_found_of,
+    shifts_of,
+    summary_of,
+)
+from .baseline import baseline_of, independent_floor
+from .competitor import FlexibleForce
+from .experiment import next_experiment
+from .growth import Growth, grow, residual_rms
+from .judgement import FreeRun, gain_of, overall
+from .problem import Data
+from .record_findings import record_findings
+from .refitting import Bench, explainable_share
+from .response import Simulator
+from .result import Diagnosis, Finding
+
+UNEXPLAINED = 1.05
+"""Excess over an independent noise floor from which a silent gate does not mean noise."""
+
+
+def diagnose(
+    record: Record | list[Record],
+    *,
+    validation: Record | list[Record] | None = None,
+    model: MechanicalModel | None = None,
+    catalogue: tuple[AbstractEffect, ...] = CATALOGUE,
+    only=None,
+    exclude=None,
+    max_effects: int = 4,
+    holdout: float = 0.3,
+    seed: int = 0,
+    progress: AbstractProgress | None = None,
+    **options,
+) -> Diagnosis:
+    """Show what a simulation gets wrong on a measured record, name the cause, mend it, and measure the gain.
+
+    **Arguments:**
+
+    - `record`: one record, or several of the same system.
+    - `validation`: records that the fit does not see; default the last part of the record.
+    - `model`: the user's own model, judged as it is; default the model identified from the record.
+    - `catalogue`: effects to look for; append your own.
+    - `only`, `exclude`: ids of effects to look for alone, or to leave out; default none.
+    - `max_effects`: how many effects may be added; default 4.
+    - `holdout`: share of the record held out where no validation is given; default 0.3.
+    - `seed`: of the resampling; default 0.
+    - `progress`: told of every stage; silent by default.
+    - `options`: as for `identify` (excitation, input_map, structure, fix, time_constants, …).
+
+    **Returns:** a `Diagnosis`.
+
+    **Raises:** `ValueError` for arguments or data that cannot serve; `ComputationError` when a computation fails.
+    """
+    ready()
+    progress = Silent() if progress is None else progress
+    if not isinstance(max_effects, int) or max_effects < 0:
+        raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
+    searched = chosen_effects(catalogue, only, exclude)
+    records = [record] if isinstance(record, Record) else list(record)
+    separate = validation is not None
+    if separate:
+        held = [validation] if isinstance(validation, Record) else list(validation)
+    elif len(records) > 1:
+        records, held = records[:-1], records[-1:]
+        separate = True
+    else:
+        first, last = records[0].split(holdout)
+        records, held = [first], [last]
+    check_compatible(records + held)
+
+    identification = None
+    if model is None:
+        identification = identify(records, validation=held, progress=progress, **options)
+    else:
+        searched = MODEL_ERRORS + searched
+    baseline = baseline_of(records, identification, model, None)
+    floor, source = independent_floor(records[0])
+    laws = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
+    bench = Bench(
+        Simulator(baseline.setup, laws),
+        [Data.of(r) for r in records],
+        [Data.of(r) for r in held],
+        searched,
+        (records[0].input_names, records[0].output_names),
+        baseline.setup.held,
+        floor,
+        separate,
+        np.random.default_rng(seed),
+        progress,
+    )
+    growth = grow(bench, baseline.start, max_effects)
+    progress.stage("summing up")
+    chain = growth.screening.chain
+    raw = record_findings(records[0], growth.stage.e, chain.ratio, chain.worth)
+    return _assembled(bench, growth, baseline, identification, records, held, floor, source, raw)
+
+
+def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
+    """The effects to look for.
+
+    **Raises:** `ValueError` for an id that is not in the catalogue.
+    """
+    known = {effect.id: effect for effect in catalogue}
+
+    def ids(name, given):
+        if given is None:
+            return None
+        given = [g.strip() for g in given.split(",")] if isinstance(given, str) else list(given)
+        for item in given:
+            if item not in known:
+                near = difflib.get_close_matches(item, known, n=1)
+                hint = f" (did you mean {near[0]!r}?)" if near else ""
+                raise ValueError(f"{name}: {item!r} is not in the catalogue{hint}; see `jaxgray effects`.")
+        return set(given)
+
+    wanted, unwanted = ids("only", only), ids("exclude", exclude) or set()
+    return tuple(e for e in catalogue if (wanted is None or e.id in wanted) and e.id not in unwanted)
+
+
+def _assembled(
+    bench: Bench, growth: Growth, baseline, identification: Identification | None, records, held, floor, source, raw
+):
+    setup, data = bench.simulator.setup, bench.data[0]
+    if floor is None:
+        floor = residual_rms(growth.stage.e, data)
+    names = records[0].output_names
+    start_run = FreeRun(growth.start.motion.y, growth.start.e, data.kept)
+    last_run = FreeRun(growth.stage.motion.y, growth.stage.e, data.kept)
+    errors = None if identification is None else identification.standard_errors
+    base = summary_of(baseline.model, errors, start_run, growth.baseline_runs, records, held)
+    base_excess = overall(residual_rms(growth.start.e, data), floor)
+    excess = overall(residual_rms(growth.stage.e, data), floor)
+    findings = list(findings_of(bench, growth, records[0]))
+    extended = gain = None
+    shifts = ()
+    if growth.accepted:
+        mended = model_of(growth.fit.candidate, baseline.model, setup)
+        spread = matrix_errors(growth.fit, setup)
+        extended = summary_of(mended, spread, last_run, growth.runs, records, held)
+        shifts = shifts_of(baseline.model, mended, spread)
+        if growth.runs:
+            runs = growth.baseline_runs
+            gain = gain_of(runs, growth.runs, runs, floor, names, held_out=True, rng=bench.rng)
+    unexplained = growth.unexplained or (source != "residual of the final model" and excess >= UNEXPLAINED)
+    depends = _depends_on(growth) if unexplained else ()
+    if unexplained and not findings:
+        worst = int(np.argmax(residual_rms(growth.stage.e, data) / floor))
+        findings.append(Finding("unexplained", names[worst], "unexplained", "model", (), {}, None, None))
+    model_findings = [f.status for f in findings]
+    if unexplained:
+        verdict = "partly" if growth.accepted else "unexplained"
+    else:
+        verdict = "equivalent" if "equivalent" in model_findings else "named" if model_findings else "noise"
+    warnings = () if identification is None else _own_warnings(identification, growth)
+    taken = accepted_names(growth.accepted)
+    return Diagnosis(
+        verdict=verdict,
+        baseline=base,
+        noise_floor=dict(zip(names, map(float, floor))),
+        noise_floor_source=source,
+        findings=tuple(raw) + tuple(findings),
+        extended=extended,
+        gain=gain,
+        excess=excess,
+        baseline_excess=base_excess,
+        white=not growth.unexplained and growth.screening.chain.ratio == 0.0,
+        explainable=explainable_share(bench, growth, floor) if unexplained else None,
+        depends_on=depends,
+        rejected=tuple(growth.rejected),
+        not_found=not_found_of(growth.screening, bench, records[0], taken),
+        shifts=shifts,
+        budget=budget_of(growth, bench, floor),
+        next_experiment=_experiment(bench, growth, records[0], floor),
+        warnings=warnings,
+        records=tuple(records),
+        validation_records=tuple(held),
+        curves=curves_of(bench, growth, records, held),
+        identification=identification,
+        terms=growth.stage.candidate.terms,
+        own_model=baseline.own,
+    )
+
+
+def _experiment(bench: Bench, growth: Growth, record: Record, floor):
+    """The experiment that separates the first class that the record leaves open."""
+    for accepted in growth.accepted:
+        if accepted.rivals:
+            members = [accepted.attempt.fit.candidate, *(rival.fit.candidate for rival in accepted.rivals)]
+            return next_experiment(bench, members, record, floor, progress=bench.progress)
+    return None
+
+
+def _depends_on(growth: Growth) -> tuple[str, ...]:
+    """Variables on which what is left depends: of the best candidates of the last look."""
+    words = []
+    families = {
+        "stiffness": "displacement",
+        "friction": "velocity",
+        "hysteresis": "the history of displacement",
+        "coupling": "motion of other coordinates",
+        "actuator": "input",
+        "sensor": "output",
+        "structure": "frequency or time",
+        "disturbance": "time",
+    }
+    for score in list(growth.screening.best_by_effect().values())[:3]:
+        if score.delta_bic > 0 and score.shape.effect.id != FlexibleForce.id:
+            words.append(
+                f"{families.get(score.shape.effect.family, score.shape.effect.family)} ({score.shape.place.name})"
+            )
+    return tuple(dict.fromkeys(words))
+
+
+def _own_warnings(identification: Identification, growth: Growth) -> tuple[str, ...]:
+    """Warnings of the linear fit; what a finding has mended is no longer one."""
+    if not growth.accepted:
+        return identification.warnings
+    mended = ("M, D, K of", "The residual is not white", "Poor fit", "The residual is correlated")
+    return tuple(text for text in identification.warnings if not text.startswith(mended))

@@ -1,0 +1,301 @@
+"""Refit of everything: M, D, K over physical matrices, first states, and the parameters of all effects.
+
+Damped Gauss-Newton on the whitened free-run error. Every step is a small semidefinite least squares: M ≻ 0, D ⪰ 0,
+K ⪰ 0, and each bounded parameter of an effect as a block of one.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..identification.conic import MASS_FLOOR, pseudo_inverse
+from ..mechanics.effects.base import Term
+from ..numerics.linear_algebra import triangle
+from ..numerics.outcomes import ComputationError
+from ..numerics.positive import ClarabelSolver, PositiveLeastSquares
+from .problem import Candidate, Data, Setup, estimated
+from .residual import Chain, counted
+from .response import Simulator
+
+DECREMENT = 1e-2
+"""Stop when a step would lower the sum of squares by less than this, in units of the noise variance."""
+
+_LARGEST = 1e100
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A candidate after its refit, and the evidence.
+
+    `candidate`; `residual` e of every record (zero where missing) and `jacobian` J of the simulated outputs by the
+    entries, that record's first state, and the values term by term; `covariance` of all parameters; `cost`: sum of
+    squared whitened errors; `count`: output samples that count; `steps`; `converged`.
+    """
+
+    candidate: Candidate
+    residual: tuple[Float[np.ndarray, "samples outputs"], ...]
+    jacobian: tuple[Float[np.ndarray, "samples outputs parameters"], ...]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    cost: float
+    count: int
+    steps: int
+    converged: bool
+
+
+class Layout:
+    """Where each parameter stands in the vector that a refit moves.
+
+    Linear entries, then the first state of every record, then the estimated values of every term.
+    """
+
+    def __init__(self, setup: Setup, candidate: Candidate):
+        self.entries = len(candidate.entries)
+        self.states = 2 * setup.dofs
+        self.records = len(candidate.x0)
+        self.terms = [(k, j) for k, term in enumerate(candidate.terms) for j in estimated(term)]
+        self.first = self.entries + self.records * self.states
+        self.size = self.first + len(self.terms)
+        parameters = [candidate.terms[k].effect.parameters[j] for k, j in self.terms]
+        self.lower = np.array([p.lower for p in parameters])
+        self.upper = np.array([p.upper for p in parameters])
+
+    def widened(self, J: np.ndarray, record: int) -> np.ndarray:
+        """The Jacobian of one record with columns for the other records' first states."""
+        if self.records == 1:
+            return J
+        full = np.zeros((*J.shape[:2], self.size))
+        full[:, :, : self.entries] = J[:, :, : self.entries]
+        at = self.entries + record * self.states
+        full[:, :, at : at + self.states] = J[:, :, self.entries : self.entries + self.states]
+        full[:, :, self.first :] = J[:, :, self.entries + self.states :]
+        return full
+
+    def vector(self, candidate: Candidate) -> np.ndarray:
+        """All parameters of a candidate."""
+        values = [float(candidate.terms[k].values[j]) for k, j in self.terms]
+        return np.concatenate([candidate.entries, *candidate.x0, values])
+
+    def candidate(self, theta: np.ndarray, like: Candidate) -> Candidate:
+        """The candidate that a vector stands for, the rest as in another."""
+        x0 = np.split(theta[self.entries : self.first], self.records)
+        values = [np.array(term.values, dtype=float) for term in like.terms]
+        for (k, j), value in zip(self.terms, theta[self.first :]):
+            values[k][j] = value
+        terms = tuple(Term(t.effect, t.place, v) for t, v in zip(like.terms, values))
+        return Candidate(theta[: self.entries], tuple(x0), terms)
+
+
+class _Step:
+    """One Gauss-Newton step inside the cone and the bounds."""
+
+    def __init__(self, setup: Setup, layout: Layout, held: np.ndarray):
+        self.setup, self.layout, self.held = setup, layout, held
+        bounded = np.isfinite(layout.lower)
+        self.blocked = np.concatenate([np.arange(layout.entries), layout.first + np.flatnonzero(bounded)])
+        self.free = np.setdiff1d(np.arange(layout.size), self.blocked)
+        owners = setup.structure.owners(setup.dofs)
+        self.sizes = (*setup.sizes, *(1,) * int(bounded.sum()))
+        self.floors = np.concatenate([[MASS_FLOOR if o == "mass" else 0.0 for o in owners], layout.lower[bounded]])
+        self.solver = ClarabelSolver()
+
+    def __call__(self, theta, H, g, damping):
+        """The change of the parameters; None where no step could be found."""
+        diagonal = np.maximum(np.diag(H), 1e-14 * np.max(np.diag(H)))
+        H = H + np.diag((damping + 1e-13) * diagonal)
+        inside, free = self.blocked, self.free
+        inner = pseudo_inverse(H[np.ix_(free, free)])
+        across = H[np.ix_(inside, free)] @ inner
+        z = theta[inside]
+        # In units of each block's size, so that the cone problem is well scaled.
+        unit = np.ones(len(z))
+        at = 0
+        for n in self.sizes:
+            count = n * (n + 1) // 2
+            size = np.linalg.norm(z[at : at + count])
+            spread = 1 / np.sqrt(np.max(diagonal[inside][at : at + count]))
+            unit[at : at + count] = max(size, spread)
+            at += count
+        ends = np.cumsum([n * (n + 1) // 2 for n in self.sizes]) - 1
+        reduced = (H[np.ix_(inside, inside)] - across @ H[np.ix_(free, inside)]) * unit[:, None] * unit[None, :]
+        slope = (g[inside] - across @ g[free]) * unit
+        here = z / unit
+        reduced = (reduced + reduced.T) / 2
+        held = self.held[inside]
+        dz = self._inside(reduced, slope, here, self.floors / unit[ends], held)
+        if dz is None:
+            return None
+        dz = dz * unit
+        dn = -inner @ (g[free] + H[np.ix_(free, inside)] @ dz)
+        step = np.zeros(len(theta))
+        step[inside], step[free] = dz, dn
+        values = np.clip(theta + step, self._lower, self._upper)
+        return values - theta if np.all(np.isfinite(values)) else None
+
+    def _inside(self, quadratic, slope, here, floors, held):
+        """The change that keeps every block above its floor: the plain one where that does."""
+        free = ~held
+        plain = np.zeros(len(here))
+        try:
+            plain[free] = -np.linalg.solve(quadratic[np.ix_(free, free)], slope[free])
+        except np.linalg.LinAlgError:
+            return None
+        if np.all(np.isfinite(plain)) and self._allowed(here + plain, floors):
+            return plain
+        problem = PositiveLeastSquares(
+            jnp.asarray(quadratic),
+            jnp.asarray(slope - quadratic @ here),
+            jnp.asarray(floors),
+            self.sizes,
+            jnp.asarray(held) if held.any() else None,
+            jnp.asarray(here) if held.any() else None,
+        )
+        try:
+            return np.asarray(self.solver(problem)) - here
+        except ComputationError:
+            return None
+
+    def _allowed(self, z, floors) -> bool:
+        at = 0
+        for n, floor in zip(self.sizes, floors):
+            count = n * (n + 1) // 2
+            if n == 1:
+                lowest = z[at]
+            else:
+                rows, columns = triangle(n)
+                X = np.zeros((n, n))
+                X[rows, columns] = np.where(rows == columns, z[at : at + count], z[at : at + count] / np.sqrt(2))
+                lowest = np.linalg.eigvalsh(X, UPLO="U")[0]
+            if lowest < floor:
+                return False
+            at += count
+        return True
+
+    @property
+    def _lower(self):
+        return np.concatenate([np.full(self.layout.first, -np.inf), self.layout.lower])
+
+    @property
+    def _upper(self):
+        return np.concatenate([np.full(self.layout.first, np.inf), self.layout.upper])
+
+
+def weighted(chain: Chain, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Whitened columns of the samples that count, as a matrix samples·outputs × columns."""
+    used = counted(kept)
+    return (chain.whiten(np.where(kept[:, :, None], X, 0.0)) * used[:, :, None]).reshape(-1, X.shape[2])
+
+
+def refit(
+    simulator: Simulator,
+    candidate: Candidate,
+    data: list[Data],
+    chain: Chain,
+    *,
+    held=None,
+    max_steps: int = 15,
+    tolerance: float = DECREMENT,
+    abandon: float = np.inf,
+) -> Refit | None:
+    """Refit a candidate with a given whitening chain.
+
+    **Arguments:** `simulator`; `candidate` to start from; `data`: the records; `chain`; `held`: parameters that do
+    not move (all entries of the user's own model), default those of the setup; `max_steps`; `tolerance`: stop when a
+    step would lower the sum of squares by less, in units of the noise variance; `abandon`: sum of squares above
+    which, from the second step on, a fit is given up unless its next step promises to pass below.
+
+    **Returns:** a `Refit`, or None where the start cannot be simulated.
+    """
+    setup = simulator.setup
+    layout = Layout(setup, candidate)
+    fixed = np.zeros(layout.size, bool)
+    fixed[: layout.entries] = setup.held if held is None else held
+    step = _Step(setup, layout, fixed)
+    theta = layout.vector(candidate)
+    now = _equations(simulator, candidate, data, chain, layout)
+    if now is None:
+        return None
+    damping, steps, converged = 0.0, 0, False
+    while steps < max_steps and damping < 1e6 and not converged:
+        steps += 1
+        H, g, cost = now[0], now[1], now[2]
+        free = np.where(fixed, 0.0, 1.0)
+        change = step(theta, H * free[:, None] * free[None, :] + np.diag(fixed * 1.0), g * free, damping)
+        if change is None:
+            damping = max(10 * damping, 1e-3)
+            continue
+        change = np.where(fixed, 0.0, change)
+        variance = max(cost / max(now[3], 1), 1e-300)
+        decrement = -(2 * g @ change + change @ H @ change) / variance
+        if decrement < tolerance:
+            converged = True
+            break
+        if steps > 2 and cost - decrement * variance > abandon:
+            break
+        trial_candidate = layout.candidate(theta + change, candidate)
+        trial = _equations(simulator, trial_candidate, data, chain, layout)
+        if trial is None or not trial[2] <= cost:
+            converged = decrement < 10 * tolerance
+            damping = max(10 * damping, 1e-3)
+            continue
+        theta, candidate, now = theta + change, trial_candidate, trial
+        damping = damping / 10 if damping > 1e-5 else 0.0
+    H, _, cost, count, residuals, jacobians = now
+    variance = cost / max(count - layout.size, 1)
+    moving = ~fixed
+    covariance = np.zeros_like(H)
+    covariance[np.ix_(moving, moving)] = pseudo_inverse(H[np.ix_(moving, moving)]) * variance
+    return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged)
+
+
+def _equations(simulator, candidate, data, chain, layout):
+    """Information, gradient, cost, count, residuals and Jacobians at a candidate; None where it overflows."""
+    H, g, cost, count = 0.0, 0.0, 0.0, 0
+    residuals, jacobians = [], []
+    for k, d in enumerate(data):
+        y, J = simulator.run_and_jacobian(candidate, d, k)
+        e = np.where(d.kept, d.y - y, 0.0)
+        if not (np.all(np.isfinite(e)) and np.all(np.isfinite(J))):
+            return None
+        both = weighted(chain, np.concatenate([J, e[:, :, None]], axis=2), d.kept)
+        if not np.all(np.isfinite(both)):
+            return None
+        # What is all but overflowing has no products to speak of.
+        if np.max(np.abs(both)) > _LARGEST:
+            return None
+        table = layout.widened(both[None, :, :-1], k)[0]
+        H = H + table.T @ table
+        g = g - table.T @ both[:, -1]
+        cost += float(both[:, -1] @ both[:, -1])
+        count += int(counted(d.kept).sum())
+        residuals.append(e)
+        jacobians.append(J)
+    return H, g, cost, count, tuple(residuals), tuple(jacobians)
+
+
+def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: int = 2) -> Refit:
+    """A refit with the first states that bring the free run itself nearest to the records.
+
+    Under a chain with noise at the forces the innovations filter forgets the first state, which then is not
+    determined by the refit; the free run needs one all the same.
+    """
+    candidate = fit.candidate
+    first, states = len(candidate.entries), len(candidate.x0[0])
+    residuals, jacobians = list(fit.residual), list(fit.jacobian)
+    for k, d in enumerate(data):
+        for _ in range(steps):
+            e, J = residuals[k], jacobians[k]
+            scale = np.sqrt(np.maximum(np.mean(e[: d.samples] ** 2, axis=0), 1e-300))
+            table = np.where(d.kept[:, :, None], J[:, :, first : first + states], 0.0) / scale[:, None]
+            table = table.reshape(-1, states)
+            change = pseudo_inverse(table.T @ table) @ (table.T @ (e / scale).reshape(-1))
+            x0 = tuple(x + change if j == k else x for j, x in enumerate(candidate.x0))
+            trial = Candidate(candidate.entries, x0, candidate.terms)
+            y, J = simulator.run_and_jacobian(trial, d, k)
+            new = np.where(d.kept, d.y - y, 0.0)
+            if not np.sum((new / scale) ** 2) < np.sum((e / scale) ** 2):
+                break
+            candidate, residuals[k], jacobians[k] = trial, new, J
+    return dataclasses.replace(fit, candidate=candidate, residual=tuple(residuals), jacobian=tuple(jacobians))

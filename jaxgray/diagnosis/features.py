@@ -1,0 +1,357 @@
+"""What each candidate would add to the outputs, to first order: one response per effect, place and shape.
+
+Forces are computed from a motion (simulated, or smoothed from the measurement) and sent through the linear plant; input
+effects likewise from the input; output effects from the outputs; matrix effects as differences of linear runs.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..mechanics.effects.base import (
+    AbstractEffect,
+    AbstractForceEffect,
+    AbstractInputEffect,
+    AbstractMatrixEffect,
+    AbstractOutputEffect,
+    Local,
+    Place,
+    Scales,
+    Term,
+    places_of,
+)
+from ..mechanics.extended import Plant, arm_of, held_input, input_matrix_of, local_rows, with_coordinates
+from ..mechanics.statespace import hold_matrices
+from ..numerics.lifting import respond
+from .problem import Data
+
+BATCH = 16
+"""Responses are computed in multiples of so many, so that little is compiled."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Displacements, velocities and outputs from which features are made, padded like the record."""
+
+    q: Float[np.ndarray, "samples dofs"]
+    v: Float[np.ndarray, "samples dofs"]
+    y: Float[np.ndarray, "samples outputs"]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One candidate with one choice of shape: an effect at a place, and the responses that it can make.
+
+    `values`: the shape's parameter vector; `basis`: parameter vectors whose responses span it; `tried`: number of
+    shapes and places among which it was chosen.
+    """
+
+    effect: AbstractEffect
+    place: Place
+    values: np.ndarray
+    basis: tuple[np.ndarray, ...]
+    scales: Scales
+    tried: int
+
+    @property
+    def free(self) -> int:
+        """Estimated parameters."""
+        return sum(parameter.counts for parameter in self.effect.parameters)
+
+    def term(self, weights: np.ndarray) -> Term:
+        """The term that the responses with these weights stand for."""
+        values = self.effect.combine(self.values, weights)
+        return Term(self.effect, self.place, self.effect.bounded(values))
+
+
+@dataclass(frozen=True)
+class Features:
+    """Responses of all shapes: `responses` (samples × outputs × columns), `owner`: the shape of every column."""
+
+    shapes: tuple[Shape, ...]
+    responses: Float[np.ndarray, "samples outputs columns"]
+    owner: np.ndarray
+
+
+def features(
+    plant: Plant,
+    motion: Motion,
+    data: Data,
+    catalogue: tuple[AbstractEffect, ...],
+    scales: dict[tuple[str, str], Scales],
+    input_names: tuple[str, ...],
+    output_names: tuple[str, ...],
+    taken: frozenset = frozenset(),
+    shapes: dict | None = None,
+) -> Features:
+    """Responses of every effect at every place, with every shape of its grid.
+
+    **Arguments:** `plant`: the linear part; `motion`; `data`: the record; `catalogue`; `scales`: by kind of place and
+    name; `input_names`, `output_names`; `taken`: (id, place) that are in the model already; `shapes`: parameter
+    vectors to try instead of the effect's own, by (id, place).
+
+    **Returns:** `Features`.
+    """
+    all_shapes, groups = [], {}
+    outputs = len(output_names)
+    for effect in catalogue:
+        if effect.id == "position_dependent_stiffness" and not np.any(data.scheduling):
+            continue
+        places = [p for p in places_of(effect, input_names, output_names) if (effect.id, p.name) not in taken]
+        for place in places:
+            here = scales[_scale_key(effect, place, output_names)]
+            if shapes is not None and (effect.id, place.name) not in shapes:
+                continue
+            grid = effect.shapes(here) if shapes is None else shapes[effect.id, place.name]
+            for values in grid:
+                basis = tuple(effect.basis(values))
+                all_shapes.append(Shape(effect, place, np.asarray(values, float), basis, here, len(grid) * len(places)))
+                kind = _kind(effect)
+                key = (kind, place.name if kind != "matrix" else effect.extra)
+                groups.setdefault(key, []).append(len(all_shapes) - 1)
+    samples = len(data.u)
+    owner = np.concatenate([[k] * len(s.basis) for k, s in enumerate(all_shapes)]).astype(int)
+    first = np.concatenate([[0], np.cumsum([len(s.basis) for s in all_shapes])])[:-1]
+    responses = np.full((samples, outputs, len(owner)), np.nan)
+    for (kind, _), members in groups.items():
+        made = _MAKERS[kind]([all_shapes[k] for k in members], plant, motion, data, outputs)
+        columns = np.concatenate([np.arange(first[k], first[k] + len(all_shapes[k].basis)) for k in members])
+        responses[:, :, columns] = made
+    return Features(tuple(all_shapes), responses, owner)
+
+
+def _scale_key(effect: AbstractEffect, place: Place, output_names) -> tuple[str, str]:
+    if effect.places == "input":
+        return "input", place.name
+    if isinstance(effect, AbstractOutputEffect):
+        return "output", output_names[place.first]
+    return "coordinate", place.name
+
+
+def _kind(effect: AbstractEffect) -> str:
+    for kind, family in (
+        ("force", AbstractForceEffect),
+        ("input", AbstractInputEffect),
+        ("matrix", AbstractMatrixEffect),
+        ("output", AbstractOutputEffect),
+    ):
+        if isinstance(effect, family):
+            return kind
+    raise ValueError(f"{type(effect).__name__} is no effect on force, input, matrix or output; subclass one of them.")
+
+
+def _columns(shapes):
+    """Laws in order of appearance, and the stacked basis vectors of each."""
+    laws, vectors = {}, {}
+    for s in shapes:
+        laws.setdefault(s.effect.id, s.effect)
+        vectors.setdefault(s.effect.id, []).extend(s.basis)
+    return tuple(laws.values()), [jnp.asarray(np.stack(vectors[name])) for name in laws]
+
+
+def _in_order(shapes, laws, results):
+    """Columns back in the order of the shapes, from columns law by law."""
+    starts = np.concatenate([[0], np.cumsum([len(r) for r in results])])
+    at = {law.id: int(start) for law, start in zip(laws, starts)}
+    index = []
+    for s in shapes:
+        name, count = s.effect.id, len(s.basis)
+        index += range(at[name], at[name] + count)
+        at[name] += count
+    return np.array(index, dtype=int)
+
+
+def _force_columns(shapes, plant, motion, data, outputs):
+    term = Term(shapes[0].effect, shapes[0].place, jnp.zeros(0))
+    arm = arm_of(term, plant)
+    channel = shapes[0].place.first if shapes[0].effect.places == "input" else -1
+    laws, vectors = _columns(shapes)
+    u = np.zeros(len(data.u)) if channel < 0 else data.u[:, channel]
+    series = _force_series(
+        laws,
+        vectors,
+        jnp.asarray(motion.q),
+        jnp.asarray(motion.v),
+        jnp.asarray(u),
+        jnp.asarray(data.u),
+        arm,
+        plant,
+        jnp.asarray(data.sampling_time),
+        jnp.asarray(data.scheduling),
+    )
+    forces = np.concatenate([np.asarray(s) for s in series])[_in_order(shapes, laws, series)]
+    return _responses(
+        plant, -arm[:, None], forces[:, :, None], _next(forces)[:, :, None], data.sampling_time, outputs, forced=True
+    )
+
+
+@eqx.filter_jit
+def _force_series(laws, vectors, q, v, u, inputs, arm, plant, time, scheduling):
+    """Forces over time for every law and basis vector, from one motion."""
+    dofs = q.shape[1]
+    C, D = local_rows(plant, jnp.eye(dofs), time)
+    a = arm @ (C[2] @ jnp.concatenate([q, v * time], axis=1).T + D[2] @ inputs.T)
+    compliance = arm @ jnp.linalg.solve(plant.mass, arm)
+    samples = q.shape[0]
+    t = jnp.arange(samples) * time
+    full = jnp.broadcast_to(compliance, (samples,))
+    here = Local(q @ arm, v @ arm, a, full, u, t, scheduling)
+    result = []
+    for law, stacked in zip(laws, vectors):
+
+        def one(p, law=law):
+            z = jnp.zeros((law.states, samples))
+            if law.states:
+
+                def step(state, pair):
+                    before, after = pair
+                    return law.advance(p, state, before, after, time), state
+
+                later = jax.tree.map(lambda x: jnp.concatenate([x[1:], x[-1:]]), here)
+                z = jax.lax.scan(step, jnp.zeros(law.states), (here, later))[1].T
+            return jnp.broadcast_to(law.force(p, here, z), (samples,))
+
+        result.append(jax.vmap(one)(stacked))
+    return result
+
+
+def _next(X):
+    """Series shifted to the end of every sample, the last held."""
+    return np.concatenate([X[:, 1:], X[:, -1:]], axis=1)
+
+
+def _responses(plant, columns, start, end, time, outputs, *, forced):
+    """Outputs of the plant for many inputs: `start`, `end` (columns × samples × channels), added forces or inputs."""
+    total = start.shape[0]
+    made = np.empty((start.shape[1], outputs, total))
+    for k in range(0, total, BATCH):
+        part = slice(k, min(k + BATCH, total))
+        pad = BATCH - (part.stop - part.start)
+        two = [jnp.asarray(np.pad(np.asarray(X)[part], ((0, pad), (0, 0), (0, 0)))) for X in (start, end)]
+        y = _respond_many(plant, columns, *two, jnp.asarray(time), forced)
+        made[:, :, part] = np.moveaxis(np.asarray(y), 0, 2)[:, :outputs, : BATCH - pad]
+    return made
+
+
+@eqx.filter_jit
+def _respond_many(plant, columns, start, end, time, forced):
+    system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, time)
+    dofs = plant.mass.shape[0]
+    if forced:
+        push = jnp.linalg.solve(plant.mass, columns)
+        B = jnp.concatenate([jnp.zeros_like(push), push * time**2])
+        measured = jnp.asarray([kind == "acceleration" for kind in plant.measured])
+        D = jnp.where(measured[:, None], push, 0.0)
+    else:
+        B, D = system.B @ columns, system.D @ columns
+    Ad, B0, B1 = hold_matrices(system.A, B, 1.0, "linear")
+    both = jnp.concatenate([start, end], axis=2)
+    feed = jnp.concatenate([D, jnp.zeros_like(D)], axis=1)
+    state = jnp.zeros(2 * dofs)
+    return jax.vmap(lambda w: respond(Ad, jnp.concatenate([B0, B1], axis=1), system.C, feed, w, state))(both)
+
+
+def _input_columns(shapes, plant, motion, data, outputs):
+    j = shapes[0].place.first
+    laws, vectors = _columns(shapes)
+    start, end = held_input(jnp.asarray(data.u), data.hold)
+    changes = _input_changes(laws, vectors, start[:, j], end[:, j], jnp.asarray(data.sampling_time))
+    order = _in_order(shapes, laws, [c[0] for c in changes])
+    first, last = (np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in (0, 1))
+    column = np.eye(input_matrix_of(plant.drive).shape[1])[:, j : j + 1]
+    return _responses(plant, jnp.asarray(column), first, last, data.sampling_time, outputs, forced=False)
+
+
+@eqx.filter_jit
+def _input_changes(laws, vectors, start, end, time):
+    result = []
+    for law, stacked in zip(laws, vectors):
+
+        def one(p, law=law):
+            a, b = law.apply(p, start, end, time)
+            return a - start, b - end
+
+        result.append(jax.vmap(one)(stacked))
+    return result
+
+
+def _output_columns(shapes, plant, motion, data, outputs):
+    k = shapes[0].place.first
+    made = np.zeros((len(data.u), outputs, sum(len(s.basis) for s in shapes)))
+    source = np.zeros(len(data.u))
+    if shapes[0].place.second >= 0:
+        source = np.concatenate([motion.y, data.u], axis=1)[:, shapes[0].place.second]
+    laws, vectors = _columns(shapes)
+    changes = _output_changes(
+        laws, vectors, jnp.asarray(motion.y[:, k]), jnp.asarray(source), jnp.asarray(data.sampling_time)
+    )
+    made[:, k] = np.concatenate([np.asarray(c) for c in changes])[_in_order(shapes, laws, changes)].T
+    return made
+
+
+@eqx.filter_jit
+def _output_changes(laws, vectors, y, source, time):
+    return [
+        jax.vmap(lambda p, law=law: law.apply(p, y, source, time) - y)(stacked) for law, stacked in zip(laws, vectors)
+    ]
+
+
+def _matrix_columns(shapes, plant, motion, data, outputs):
+    start, end = held_input(jnp.asarray(data.u), data.hold)
+    time = jnp.asarray(data.sampling_time)
+    laws, vectors = _columns(shapes)
+    dofs = plant.mass.shape[0]
+    changed = [
+        _changed_matrices(law, stacked, *_arms([s for s in shapes if s.effect.id == law.id], dofs), plant)
+        for law, stacked in zip(laws, vectors)
+    ]
+    order = _in_order(shapes, laws, [c[0] for c in changed])
+    matrices = [np.concatenate([np.asarray(c[k]) for c in changed])[order] for k in range(3)]
+    total = matrices[0].shape[1]
+    drive = with_coordinates(plant.drive, total)
+    measured = plant.measured + ("displacement",) * (total - dofs)
+    made = np.empty((len(data.u), outputs, len(order)))
+    alone = [jnp.asarray(X)[None] for X in (plant.mass, plant.damping, plant.stiffness)]
+    still = np.asarray(_linear_runs(*alone, plant.drive, plant.measured, start, end, time))[0]
+    for k in range(0, len(order), BATCH):
+        part = [X[k : k + BATCH] for X in matrices]
+        count = len(part[0])
+        part = [jnp.asarray(np.concatenate([X, np.repeat(X[-1:], BATCH - count, axis=0)])) for X in part]
+        y = np.asarray(_linear_runs(*part, drive, measured, start, end, time))
+        made[:, :, k : k + count] = np.moveaxis(y[:count, :, :outputs] - still[None, :, :outputs], 0, 2)
+    return made
+
+
+def _arms(shapes, dofs):
+    """First and second arm of every basis vector."""
+    eye = np.concatenate([np.eye(dofs), np.zeros((1, dofs))])
+    first = [s.place.first for s in shapes for _ in s.basis]
+    second = [s.place.second for s in shapes for _ in s.basis]
+    return jnp.asarray(eye[first]), jnp.asarray(eye[second])
+
+
+@eqx.filter_jit
+def _changed_matrices(law, stacked, first, second, plant):
+    def one(p, a, b):
+        return law.matrices(p, plant.mass, plant.damping, plant.stiffness, a, b)
+
+    return jax.vmap(one)(stacked, first, second)
+
+
+@eqx.filter_jit
+def _linear_runs(M, D, K, drive, measured, start, end, time):
+    def one(M, D, K):
+        system = drive.state_space(M, D, K, measured, time)
+        Ad, B0, B1 = hold_matrices(system.A, system.B, 1.0, "linear")
+        feed = jnp.concatenate([system.D, jnp.zeros_like(system.D)], axis=1)
+        both = jnp.concatenate([start, end], axis=1)
+        return respond(Ad, jnp.concatenate([B0, B1], axis=1), system.C, feed, both)
+
+    return jax.vmap(one)(M, D, K)
+
+
+_MAKERS = {"force": _force_columns, "input": _input_columns, "output": _output_columns, "matrix": _matrix_columns}

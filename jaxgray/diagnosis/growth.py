@@ -1,0 +1,227 @@
+"""The loop: look, name, refit, accept or reject, look again."""
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .competitor import FlexibleForce
+from .extension import Layout, Refit, refit, with_states
+from .judgement import (
+    ACCEPTED,
+    ALIKE,
+    SIGNIFICANT,
+    FreeRun,
+    at_bound,
+    evidence,
+    free_run,
+    gain_of,
+    overall,
+    significance,
+)
+from .problem import Candidate, Data
+from .refitting import Attempt, Bench, attempts_of, chain_of, compared, moving, shortlist
+from .result import Gain, Rejected
+from .screening import Screening
+from .stage import Stage, look, look_closer, stage_of
+
+EXPLAINED = 0.1
+"""Least share of the excess that a finding must explain."""
+
+TIME_LOCAL = frozenset(
+    (
+        "stiffness_step",
+        "mass_step",
+        "stiffness_drift",
+        "force_step",
+        "sensor_drift",
+        "periodic_disturbance",
+        "clock_scale",
+    )
+)
+"""Effects tied to the clock of one record: another record, or another part, may not show them."""
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`, whether it is `time_local`."""
+
+    attempt: Attempt
+    rivals: tuple[Attempt, ...]
+    gain: Gain
+    time_local: bool
+
+
+@dataclass
+class Growth:
+    """How far the loop got: where it began, the model now, what was accepted and rejected, and the last look."""
+
+    start: Stage
+    stage: Stage
+    fit: Refit | None = None
+    accepted: list[Accepted] = field(default_factory=list)
+    rejected: list[Rejected] = field(default_factory=list)
+    screening: Screening | None = None
+    first: Screening | None = None
+    unexplained: bool = False
+    baseline_runs: list[FreeRun] = field(default_factory=list)
+    runs: list[FreeRun] = field(default_factory=list)
+
+
+def grow(bench: Bench, start: Candidate, max_effects: int) -> Growth:
+    """Extend a model until nothing more is found.
+
+    **Arguments:** `bench`; `start`: the model to begin with; `max_effects`.
+
+    **Returns:** a `Growth`.
+    """
+    first = _stage(bench, start)
+    growth = Growth(first, first)
+    growth.baseline_runs = [_held_out_run(bench, start, d) for d in bench.validation]
+    growth.runs = growth.baseline_runs
+    for turn in range(max_effects + 1):
+        bench.progress.stage("looking for effects" if turn == 0 else f"looking further ({turn} found)")
+        searched = (*bench.catalogue, FlexibleForce())
+        screening, _ = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
+        growth.screening = screening
+        growth.first = screening if growth.first is None else growth.first
+        strong = _strong(growth.stage, bench.data[0], screening)
+        growth.unexplained = screening.fires
+        if not screening.fires and not strong:
+            return growth
+        if turn == max_effects:
+            return growth
+        if not _round(bench, growth, screening):
+            return growth
+        _backward(bench, growth)
+        growth.unexplained = False
+    return growth
+
+
+def _stage(bench: Bench, candidate: Candidate) -> Stage:
+    stage = stage_of(bench.simulator, candidate, bench.data[0])
+    entries = len(candidate.entries)
+    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - entries, bool)])
+    return dataclasses.replace(stage, J=stage.J[:, :, kept])
+
+
+def _strong(stage: Stage, data: Data, screening: Screening) -> bool:
+    """Whether some candidate takes most of what is left, though the chain could pass it off as noise at the forces."""
+    best = screening.first[0] if screening.first else None
+    if best is None or best.delta_bic < 100:
+        return False
+    return 1 - np.exp(-best.ratio / screening.rows) > 0.3
+
+
+def _round(bench: Bench, growth: Growth, screening: Screening) -> bool:
+    """Refit the most promising candidates and accept the best that holds; whether one did."""
+    stage, data = growth.stage, bench.data
+    closer = look_closer(stage, data[0], bench.catalogue, bench.names, screening.chain)
+    attempts = attempts_of(bench, growth.stage, shortlist(screening, closer), closer.chain, growth.rejected)
+    ranked = compared(bench, stage, list(attempts.values()))
+    floor = _floor(bench, ranked)
+    for k, attempt in enumerate(ranked):
+        bench.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
+        why, gain, runs = judged(bench, growth, attempt, floor)
+        if why is not None:
+            growth.rejected.append(Rejected(*attempt.name, attempt.delta_bic, why))
+            continue
+        rivals = []
+        for other in ranked[k + 1 :]:
+            if other.criterion - attempt.criterion >= ALIKE:
+                best = " at ".join(attempt.name)
+                why = f"explained better by {best} (by {other.criterion - attempt.criterion:.0f})"
+                growth.rejected.append(Rejected(*other.name, other.delta_bic, why))
+            elif at_bound(other.fit, len(other.fit.candidate.terms) - 1) is None:
+                rivals.append(other)
+        growth.accepted.append(Accepted(attempt, tuple(rivals[:3]), gain, attempt.name[0] in TIME_LOCAL))
+        growth.fit, growth.runs = attempt.fit, runs
+        growth.stage = _stage(bench, attempt.fit.candidate)
+        return True
+    return False
+
+
+def _floor(bench: Bench, attempts: list[Attempt]) -> np.ndarray:
+    """Noise floor per output: the independent one, or what the best refit leaves."""
+    if bench.floor is not None:
+        return bench.floor
+    if not attempts:
+        return np.ones(bench.simulator.setup.dofs)
+    return residual_rms(attempts[0].fit.residual[0], bench.data[0])
+
+
+def residual_rms(e: np.ndarray, data: Data) -> np.ndarray:
+    """Root mean square of a residual per output over the samples that were measured."""
+    power = np.sum(np.where(data.kept, e, 0.0) ** 2, axis=0) / np.maximum(data.kept.sum(axis=0), 1)
+    return np.maximum(np.sqrt(power), 1e-300)
+
+
+def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
+    """Why an attempt cannot be believed (None if it can), its gain, and its free runs on held-out data."""
+    last = len(attempt.fit.candidate.terms) - 1
+    if attempt.delta_bic < ACCEPTED:
+        return f"the refit explains too little (ΔBIC {attempt.delta_bic:.0f})", None, None
+    bound = at_bound(attempt.fit, last)
+    if bound is not None:
+        return f"{bound} ran to its physical bound", None, None
+    size = significance(attempt.fit, Layout(bench.simulator.setup, attempt.fit.candidate), last)
+    if size < SIGNIFICANT:
+        return f"only {size:.1f} standard errors from nothing", None, None
+    if not np.all(
+        residual_rms(attempt.fit.residual[0], bench.data[0]) < 2 * residual_rms(growth.stage.e, bench.data[0])
+    ):
+        return "its free run leaves more than it explains", None, None
+    before = overall(residual_rms(growth.stage.e, bench.data[0]), floor) ** 2
+    after = overall(residual_rms(attempt.fit.residual[0], bench.data[0]), floor) ** 2
+    if before - after < EXPLAINED * max(before - 1.0, 0.0):
+        share = 100 * (before - after) / max(before - 1.0, 1e-300)
+        return f"explains only {share:.0f} % of the excess", None, None
+    local = attempt.name[0] in TIME_LOCAL and not (bench.separate and attempt.name[0] != "periodic_disturbance")
+    names = bench.names[1]
+    if local or not bench.validation:
+        runs = growth.runs
+        old, new, base = (
+            [FreeRun(e, e, bench.data[0].kept)] for e in (growth.stage.e, attempt.fit.residual[0], growth.start.e)
+        )
+        gain = gain_of(old, new, base, floor, names, held_out=False, rng=bench.rng)
+        return (None if gain.ci99_lower > 0 else "no sure gain, even on the data of the fit"), gain, runs
+    runs = [_held_out_run(bench, attempt.fit.candidate, d) for d in bench.validation]
+    if not all(np.all(np.isfinite(run.e)) for run in runs):
+        return "its free run on held-out data overflows", None, None
+    gain = gain_of(growth.runs, runs, growth.baseline_runs, floor, names, held_out=True, rng=bench.rng)
+    if not gain.ci99_lower > 0:
+        return f"no sure gain on held-out data ({gain.percent:.1f} %, from {gain.ci99_lower:.1f} %)", gain, None
+    return None, gain, runs
+
+
+def _held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
+    """Free run on held-out data, without what belongs to the clock of the estimation record."""
+    absent = ("periodic_disturbance",) if bench.separate else TIME_LOCAL
+    terms = tuple(t for t in candidate.terms if t.effect.id not in absent)
+    return free_run(bench.simulator, candidate.with_terms(terms), data)
+
+
+def _backward(bench: Bench, growth: Growth) -> None:
+    """Drop accepted terms that the newer ones have made needless."""
+    if len(growth.accepted) < 2:
+        return
+    layout = Layout(bench.simulator.setup, growth.fit.candidate)
+    for k in range(len(growth.accepted) - 1):
+        if significance(growth.fit, layout, k) >= SIGNIFICANT:
+            continue
+        terms = tuple(t for j, t in enumerate(growth.fit.candidate.terms) if j != k)
+        chain = chain_of(bench, growth.fit)
+        fit = refit(bench.simulator, growth.fit.candidate.with_terms(terms), bench.data, chain, held=bench.held)
+        if fit is None:
+            continue
+        gone = growth.accepted[k].attempt
+        with_it, rows = evidence(moving(bench, growth.fit), bench.data[:1], chain)
+        without_it, _ = evidence(moving(bench, fit), bench.data[:1], chain)
+        change = rows * np.log(without_it / with_it) - gone.score.shape.free * np.log(rows)
+        if change < ACCEPTED:
+            growth.accepted.pop(k)
+            growth.rejected.append(Rejected(*gone.name, float(change), "needless once the others are in the model"))
+            fit = with_states(bench.simulator, fit, bench.data)
+            growth.fit, growth.stage = fit, _stage(bench, fit.candidate)
+            growth.runs = [_held_out_run(bench, fit.candidate, d) for d in bench.validation]
+            return

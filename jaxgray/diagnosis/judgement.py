@@ -1,0 +1,186 @@
+"""What a refit is worth: evidence under one chain, gain on data it has not seen, and whether it may be believed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..identification.conic import pseudo_inverse
+from .extension import Layout, Refit
+from .problem import Candidate, Data
+from .residual import Chain, counted
+from .response import Simulator
+from .result import Gain
+
+ACCEPTED = 10.0
+"""ΔBIC of a refit from which it is believed."""
+
+ALIKE = 6.0
+"""Difference of BIC within which two refits count as one class."""
+
+SIGNIFICANT = 4.0
+"""|β|/se from which an amplitude counts."""
+
+HEAD = 0.05
+"""Share of a held-out record on which its first state is estimated."""
+
+RESAMPLES = 500
+
+
+def evidence(fit: Refit, data: list[Data], chain: Chain) -> tuple[float, int]:
+    """Sum of squares of a refit's residual under a chain, re-optimised to first order, and how many samples count."""
+    H = g = cost = 0.0
+    rows = 0
+    for k, d in enumerate(data):
+        both = np.concatenate([_columns(fit, k), fit.residual[k][:, :, None]], axis=2)
+        used = counted(d.kept).reshape(-1)
+        white = chain.whiten(np.where(d.kept[:, :, None], both, 0.0)).reshape(-1, both.shape[2])[used]
+        J, r = white[:, :-1], white[:, -1]
+        H, g, cost, rows = H + J.T @ J, g + J.T @ r, cost + float(r @ r), rows + int(used.sum())
+    return cost - float(g @ pseudo_inverse(np.asarray(H)) @ g), rows
+
+
+def _columns(fit: Refit, record: int) -> np.ndarray:
+    if len(fit.residual) == 1:
+        return fit.jacobian[0]
+    states = len(fit.candidate.x0[0])
+    J = fit.jacobian[record]
+    entries = len(fit.candidate.entries)
+    full = np.zeros((*J.shape[:2], J.shape[2] + states * (len(fit.residual) - 1)))
+    full[:, :, :entries] = J[:, :, :entries]
+    at = entries + record * states
+    full[:, :, at : at + states] = J[:, :, entries : entries + states]
+    full[:, :, entries + states * len(fit.residual) :] = J[:, :, entries + states :]
+    return full
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """A candidate's free run on a record: `simulated`, residual `e`, `kept` samples (without the head and padding)."""
+
+    simulated: Float[np.ndarray, "samples outputs"]
+    e: Float[np.ndarray, "samples outputs"]
+    kept: np.ndarray
+
+    @property
+    def rmse(self) -> Float[np.ndarray, " outputs"]:
+        """Root mean square error per output."""
+        return np.sqrt(np.sum(np.where(self.kept, self.e, 0.0) ** 2, axis=0) / np.maximum(self.kept.sum(axis=0), 1))
+
+
+def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: int = 4, share: float = HEAD) -> FreeRun:
+    """Free run on a record that the fit has not seen, its first state estimated on the first few samples.
+
+    **Arguments:** `simulator`; `candidate`, of which everything but the first state is kept; `data`; `steps`: of
+    Gauss-Newton for the first state; `share` of the record used for it.
+
+    **Returns:** a `FreeRun` that leaves the head out.
+    """
+    states = 2 * simulator.setup.dofs
+    head = np.zeros_like(data.kept)
+    length = max(int(share * data.samples), 3 * states)
+    head[:length] = data.kept[:length]
+    here = Candidate(candidate.entries, (np.zeros(states),), candidate.terms)
+    first = len(here.entries)
+    size = np.sqrt(np.mean(data.y[: data.samples] ** 2, axis=0))
+    size = np.where(size > 0, size, 1.0)[None, :]
+    best = None
+    for _ in range(steps):
+        y, J = simulator.run_and_jacobian(here, data)
+        e = np.where(head, data.y - y, 0.0)
+        if not np.all(np.isfinite(e)):
+            break
+        cost = float(np.sum((e / size) ** 2))
+        if best is not None and not cost < best[0] * (1 - 1e-6):
+            break
+        best = cost, here
+        table = np.where(head[:, :, None], J[:, :, first : first + states], 0.0) / size[:, :, None]
+        table = table.reshape(-1, states)
+        step = pseudo_inverse(table.T @ table) @ (table.T @ (e / size).reshape(-1))
+        here = Candidate(here.entries, (here.x0[0] + step,), here.terms)
+    here = here if best is None else best[1]
+    y = simulator.run(here, data)
+    kept = data.kept & ~head
+    return FreeRun(y, np.where(data.kept, data.y - y, 0.0), kept)
+
+
+def overall(rmse: Float[np.ndarray, " outputs"], floor: Float[np.ndarray, " outputs"]) -> float:
+    """RMS over outputs of the error in units of the noise floor."""
+    return float(np.sqrt(np.mean((rmse / floor) ** 2)))
+
+
+def gain_of(
+    before: list[FreeRun],
+    after: list[FreeRun],
+    baseline: list[FreeRun],
+    floor: Float[np.ndarray, " outputs"],
+    names: tuple[str, ...],
+    *,
+    held_out: bool,
+    rng: np.random.Generator,
+    blocks: int = 40,
+) -> Gain:
+    """Gain from one model to the next, with intervals by block bootstrap over the same blocks of all three runs.
+
+    **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
+    `names` of outputs; `held_out`; `rng`; `blocks`: how many pieces the records are cut into.
+
+    **Returns:** a `Gain`.
+
+    **Reference:** Künsch (1989), *The jackknife and the bootstrap for general stationary observations*.
+    """
+
+    def pieces(runs):
+        sums, counts = [], []
+        per = max(blocks // len(runs), 8)
+        for run in runs:
+            kept = run.kept
+            where = np.flatnonzero(kept.any(axis=1))
+            for part in np.array_split(where, per):
+                sums.append(np.sum(np.where(kept[part], run.e[part], 0.0) ** 2, axis=0))
+                counts.append(kept[part].sum(axis=0))
+        return np.array(sums), np.array(counts)
+
+    (a, n), (b, _), (c, _) = pieces(before), pieces(after), pieces(baseline)
+
+    def percent(index):
+        total = np.maximum(n[index].sum(axis=0), 1)
+        rms = [np.sqrt(np.mean(x[index].sum(axis=0) / total / floor**2)) for x in (a, b, c)]
+        return 100 * (rms[0] - rms[1]) / max(rms[2], 1e-300)
+
+    everything = np.arange(len(a))
+    draws = np.array([percent(rng.integers(0, len(a), len(a))) for _ in range(RESAMPLES)])
+    total = np.maximum(n.sum(axis=0), 1)
+    pairs = {
+        name: (float(np.sqrt(a[:, k].sum() / total[k])), float(np.sqrt(b[:, k].sum() / total[k])))
+        for k, name in enumerate(names)
+    }
+    low, high = np.quantile(draws, [0.025, 0.975])
+    return Gain(pairs, float(percent(everything)), (float(low), float(high)), float(np.quantile(draws, 0.01)), held_out)
+
+
+def significance(fit: Refit, layout: Layout, term: int) -> float:
+    """The largest |β|/se among the amplitudes of one term."""
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    best = 0.0
+    for at, (k, j) in enumerate(layout.terms):
+        parameter = fit.candidate.terms[k].effect.parameters[j]
+        if k != term or not parameter.amplitude:
+            continue
+        error = errors[layout.first + at]
+        best = max(best, abs(float(fit.candidate.terms[k].values[j])) / error if error > 0 else 0.0)
+    if not any(p.amplitude and p.counts for p in fit.candidate.terms[term].effect.parameters):
+        return np.inf
+    return best
+
+
+def at_bound(fit: Refit, term: int) -> str | None:
+    """The parameter of a term that lies at a physical bound, None where none does."""
+    here = fit.candidate.terms[term]
+    for parameter, value in zip(here.effect.parameters, here.values):
+        if not parameter.counts:
+            continue
+        for bound in (parameter.lower, parameter.upper):
+            if np.isfinite(bound) and abs(float(value) - bound) <= 1e-9 * max(abs(bound), abs(float(value)), 1e-300):
+                return parameter.name
+    return None

@@ -1,0 +1,222 @@
+"""What the noise is like: a whitening chain for residual, sensitivities and features alike.
+
+Innovations filter of the fitted plant (noise at the inputs), an AR model per output, and the inverse Cholesky
+factor of the covariance of what is left:
+
+    x̂⁺ = A x̂ + G ε,  ε = e − C x̂,      ν = a(z) ε,      w = L⁻¹ ν.
+
+**Reference:** Ljung, *System Identification*, §4.3 (innovations form), §7.4 (likelihood).
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Bool, Float
+
+from ..identification.validation import AR_ORDER, ar_coefficients
+from ..mechanics.statespace import StateSpace
+from ..numerics.lifting import respond
+from ..numerics.riccati import kalman_gain
+
+RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
+"""Force noise relative to the inputs' mean square that is tried."""
+
+SETTLING = 4 * AR_ORDER
+"""Samples left out at the beginning, where the chain has no past yet."""
+
+_FLOOR = 1e-12
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A whitening chain; see the module.
+
+    `A`, `C`, `gain`: innovations filter; `coefficients`: 1, a_1, … per output; `lower`: L; `ratio` (ρ) of force noise;
+    `cost`: N ln det of the covariance that is left, with what ρ cost; `worth`: by how much it is less than with ρ = 0.
+    """
+
+    A: Float[np.ndarray, "states states"]
+    C: Float[np.ndarray, "outputs states"]
+    gain: Float[np.ndarray, "states outputs"]
+    coefficients: Float[np.ndarray, "outputs coefficients"]
+    lower: Float[np.ndarray, "outputs outputs"]
+    ratio: float
+    cost: float
+    worth: float = 0.0
+
+    def whiten(self, X: Float[np.ndarray, "samples outputs columns"]) -> Float[np.ndarray, "samples outputs columns"]:
+        """Residuals or features through the chain, columns apart."""
+        columns = X.shape[2]
+        width = -(-columns // 16) * 16
+        padded = np.zeros((*X.shape[:2], width))
+        padded[:, :, :columns] = X
+        arrays = (self.A, self.C, self.gain, self.coefficients, self.lower)
+        return np.asarray(_whiten(*map(jnp.asarray, arrays), jnp.asarray(padded)))[:, :, :columns]
+
+
+@jax.jit
+def _innovations(A, C, gain, X):
+    outputs = C.shape[0]
+    closed = A - gain @ C
+    return jax.vmap(lambda e: respond(closed, gain, -C, jnp.eye(outputs), e), 2, 2)(X)
+
+
+@jax.jit
+def _whiten(A, C, gain, coefficients, lower, X):
+    E = _innovations(A, C, gain, X)
+    white = E * coefficients[:, 0][None, :, None]
+    for lag in range(1, coefficients.shape[1]):
+        late = jnp.concatenate([jnp.zeros_like(E[:lag]), E[:-lag]])
+        white = white + coefficients[:, lag][None, :, None] * late
+    flat = jnp.moveaxis(white, 1, 0).reshape(lower.shape[0], -1)
+    solved = jax.scipy.linalg.solve_triangular(lower, flat, lower=True)
+    return jnp.moveaxis(solved.reshape(white.shape[1], white.shape[0], white.shape[2]), 0, 1)
+
+
+@eqx.filter_jit
+def _gain(A, B, C, D, force, output, ratio):
+    Q = B * (ratio * force) @ B.T
+    R = output + D * (ratio * force) @ D.T
+    return kalman_gain(A, C, Q, B * (ratio * force) @ D.T, R)[0]
+
+
+@jax.jit
+def _filtered(A, C, gain, e):
+    return respond(A - gain @ C, gain, -C, jnp.eye(C.shape[0]), e)
+
+
+def counted(kept: Bool[np.ndarray, "samples outputs"]) -> Bool[np.ndarray, "samples outputs"]:
+    """Samples that a test may count: measured, the chain's past known, its beginning over."""
+    whole = np.array(kept)
+    for lag in range(1, AR_ORDER + 1):
+        whole[lag:] &= kept[:-lag]
+    whole[: min(SETTLING, len(kept) // 4)] = False
+    return whole
+
+
+def white_part(e: Float[np.ndarray, "samples outputs"], kept) -> Float[np.ndarray, " outputs"]:
+    """Variance of the white part of a residual, from its second differences."""
+    second = np.diff(e, n=2, axis=0) ** 2
+    known = kept[2:] & kept[1:-1] & kept[:-2]
+    return np.sum(np.where(known, second, 0.0), axis=0) / (6 * np.maximum(known.sum(axis=0), 1))
+
+
+def estimate_chain(
+    e: Float[np.ndarray, "samples outputs"],
+    kept: Bool[np.ndarray, "samples outputs"],
+    system: StateSpace,
+    force: Float[np.ndarray, " inputs"],
+) -> Chain:
+    """The chain of a residual from which every effect has been removed.
+
+    ρ minimises N ln det(Σ εεᵀ/N) + 2·[ρ > 0] over a logarithmic grid; AR(10) is fitted to what that filter leaves.
+
+    **Arguments:** `e`: residual, zero where missing; `kept`: what was measured; `system`: sampled plant with the
+    columns of B and D through which noise enters; `force`: mean square of the input at each of them.
+
+    **Returns:** a `Chain`.
+    """
+    used = counted(kept)
+    rows = np.all(used, axis=1)
+    samples = max(int(rows.sum()), 1)
+    level = np.mean(e[rows] ** 2, axis=0) if rows.any() else np.ones(e.shape[1])
+    V = np.maximum(white_part(e, kept), _FLOOR * np.maximum(level, 1e-300)) + 1e-300
+    arrays = [jnp.asarray(X) for X in (system.A, system.B, system.C, system.D, force, np.diag(V))]
+    A, C = arrays[0], arrays[2]
+    residual = jnp.asarray(e)
+    best = None
+    for ratio in RATIOS:
+        gain = _gain(*arrays, ratio) if ratio > 0 else jnp.zeros((A.shape[0], C.shape[0]))
+        if not bool(jnp.all(jnp.isfinite(gain))):
+            continue
+        epsilon = np.asarray(_filtered(A, C, gain, residual)) if ratio > 0 else e
+        cost = samples * _log_determinant(epsilon[rows]) + 2 * (ratio > 0)
+        if np.isfinite(cost) and (best is None or cost < best[0]):
+            best = cost, ratio, gain, epsilon
+    if best is None:
+        best = np.inf, 0.0, jnp.zeros((A.shape[0], C.shape[0])), e
+    _, ratio, gain, epsilon = best
+    filters = np.asarray(A), np.asarray(C)
+    chain = _with_colour(*filters, np.asarray(gain), ratio, e, epsilon, kept, rows)
+    if ratio == 0.0:
+        return chain
+    plain = _with_colour(*filters, np.zeros_like(chain.gain), 0.0, e, e, kept, rows)
+    return dataclasses.replace(chain, worth=plain.cost - chain.cost)
+
+
+def _with_colour(A, C, gain, ratio, e, epsilon, kept, rows) -> Chain:
+    """The chain with its AR models and covariance, from what the innovations filter leaves."""
+    outputs, samples = e.shape[1], max(int(rows.sum()), 1)
+    coefficients = np.stack([ar_coefficients(np.where(kept[:, k], epsilon[:, k], 0.0)) for k in range(outputs)])
+    white = Chain(A, C, gain, coefficients, np.eye(outputs), ratio, 0.0).whiten(e[:, :, None])[:, :, 0]
+    covariance = white[rows].T @ white[rows] / samples
+    covariance = covariance + np.diag(_FLOOR * np.diag(covariance) + 1e-300)
+    cost = samples * float(np.linalg.slogdet(covariance)[1]) + 2 * (ratio > 0)
+    return Chain(A, C, gain, coefficients, scipy.linalg.cholesky(covariance, lower=True), ratio, cost)
+
+
+def white_chain(e: Float[np.ndarray, "samples outputs"], kept, system: StateSpace) -> Chain:
+    """The chain of white output noise with the covariance of a residual: for first fits."""
+    outputs, states = e.shape[1], system.A.shape[0]
+    rows = np.all(counted(kept), axis=1)
+    covariance = e[rows].T @ e[rows] / max(int(rows.sum()), 1)
+    covariance = covariance + np.diag(_FLOOR * np.diag(covariance) + 1e-300)
+    coefficients = np.zeros((outputs, AR_ORDER + 1))
+    coefficients[:, 0] = 1.0
+    lower = scipy.linalg.cholesky(covariance, lower=True)
+    cost = rows.sum() * float(np.linalg.slogdet(covariance)[1])
+    A, C = np.asarray(system.A), np.asarray(system.C)
+    return Chain(A, C, np.zeros((states, outputs)), coefficients, lower, 0.0, cost)
+
+
+def _log_determinant(x: Float[np.ndarray, "samples outputs"]) -> float:
+    return float(np.linalg.slogdet(x.T @ x / max(len(x), 1) + 1e-300 * np.eye(x.shape[1]))[1])
+
+
+def smoothed_states(
+    system: StateSpace,
+    e: Float[np.ndarray, "samples outputs"],
+    kept: Bool[np.ndarray, "samples outputs"],
+    force: Float[np.ndarray, " inputs"],
+    ratio: float,
+) -> Float[np.ndarray, "samples states"]:
+    """What a residual says of the states: fixed-interval smoothing with noise at every coordinate.
+
+    Forward innovations filter, then the backward recursion of Rauch, Tung and Striebel with its stationary gain.
+
+    **Arguments:** as for `estimate_chain`; `ratio` (ρ) of force noise.
+
+    **Returns:** states of the sampled plant.
+
+    **Reference:** Rauch, Tung & Striebel (1965).
+    """
+    level = np.mean(e**2, axis=0)
+    V = np.maximum(white_part(e, kept), _FLOOR * np.maximum(level, 1e-300)) + 1e-300
+    A, B, C = (np.asarray(X) for X in (system.A, system.B, system.C))
+    D = np.asarray(system.D)
+    Q = B * (ratio * force) @ B.T
+    gain, innovation = (
+        np.asarray(X)
+        for X in kalman_gain(
+            *map(jnp.asarray, (A, C, Q, np.zeros((len(A), len(C))), np.diag(V) + D * (ratio * force) @ D.T))
+        )
+    )
+    predicted_gain = np.linalg.solve(A, gain) if np.linalg.cond(A) < 1e12 else np.linalg.pinv(A) @ gain
+    states = len(A)
+    eye = np.eye(states)
+    residual = jnp.asarray(np.where(kept, e, 0.0))
+    ahead = np.asarray(respond(*map(jnp.asarray, (A - gain @ C, gain, eye, np.zeros((states, len(C))))), residual))
+    epsilon = np.asarray(residual) - ahead @ C.T
+    here = ahead + epsilon @ predicted_gain.T
+    P = scipy.linalg.solve_discrete_lyapunov(A - gain @ C, Q + gain @ (np.diag(V) + D * (ratio * force) @ D.T) @ gain.T)
+    filtered = P - predicted_gain @ innovation @ predicted_gain.T
+    back = np.linalg.lstsq(P.T, (filtered @ A.T).T, rcond=1e-12)[0].T
+    # x_s[k] = here[k] + back (x_s[k+1] − ahead[k+1]), run from the end.
+    drive = here[:-1] - ahead[1:] @ back.T
+    turned = respond(*map(jnp.asarray, (back, eye, back, eye)), jnp.asarray(drive[::-1]), jnp.asarray(here[-1]))
+    return np.concatenate([np.asarray(turned)[::-1], here[-1:]])

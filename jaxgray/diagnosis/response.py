@@ -1,0 +1,321 @@
+"""Free run of an extended model and its derivatives by everything that a refit moves.
+
+The derivative is taken stage by stage (matrices, inputs, plant with its forces, outputs), so that the expensive
+stage is compiled once for all laws.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..mechanics.effects.base import (
+    AbstractEffect,
+    AbstractForceEffect,
+    AbstractInputEffect,
+    AbstractMatrixEffect,
+    AbstractOutputEffect,
+    Place,
+    Term,
+)
+from ..mechanics.extended import Plant, Slots, changed_plant, held_input, motion_run, plant_run, slots_of, source_of
+from .problem import Candidate, Data, Setup, estimated
+
+DIRECTIONS = 8
+"""Derivatives are taken in a multiple of so many directions, so that little is compiled."""
+
+
+def law_table(terms: tuple[Term, ...], laws: tuple[AbstractForceEffect, ...]) -> tuple[AbstractForceEffect, ...]:
+    """The force laws to compile for some terms: the simplest level that holds them all, then laws of the user's own.
+
+    **Arguments:** `terms`; `laws`: all force laws of the catalogue.
+    """
+    used = [term.effect for term in terms if isinstance(term.effect, AbstractForceEffect)]
+    if not used:
+        return ()
+    most = max(effect.states for effect in used)
+    limit = next(level for level in (0, 2, 1000) if most <= level)
+    table = tuple(law for law in laws if law.states <= limit)
+    return table + tuple(dict.fromkeys(effect for effect in used if effect not in table))
+
+
+def _only(terms, kind):
+    return tuple(term for term in terms if isinstance(term.effect, kind))
+
+
+def _filled(terms, flat: Array) -> tuple[Term, ...]:
+    """Terms with their values taken from one vector."""
+    result, at = [], 0
+    for term in terms:
+        count = len(term.effect.parameters)
+        result.append(Term(term.effect, term.place, flat[at : at + count]))
+        at += count
+    return tuple(result)
+
+
+def _values(terms: tuple[Term, ...]) -> np.ndarray:
+    return np.concatenate([np.asarray(t.values, dtype=float) for t in terms]) if terms else np.zeros(0)
+
+
+@eqx.filter_jit
+def _plant_stage(entries, flat, matrices, drive, measured, terms):
+    """Plant from entries and matrix terms, and its derivative by both."""
+
+    def build(vector):
+        plant = Plant(*matrices(vector[: len(entries)]), drive, measured)
+        plant = changed_plant(plant, _filled(terms, vector[len(entries) :]))
+        return plant.mass, plant.damping, plant.stiffness
+
+    both = jnp.concatenate([entries, flat])
+    plant = Plant(*matrices(entries), drive, measured)
+    plant = changed_plant(plant, _filled(terms, flat))
+    return plant, jax.jacfwd(build)(both)
+
+
+@eqx.filter_jit
+def _input_stage(flat, u, end, sampling_time, terms):
+    """Input at start and end of every sample after the input terms, and its derivative by their values."""
+
+    def build(vector):
+        start, stop = u, end
+        for term in _filled(terms, vector):
+            j = term.place.first
+            a, b = term.effect.apply(term.values, start[:, j], stop[:, j], sampling_time)
+            start, stop = start.at[:, j].set(a), stop.at[:, j].set(b)
+        return start, stop
+
+    return build(flat), jax.jacfwd(build)(flat)
+
+
+@eqx.filter_jit
+def _run(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps):
+    return plant_run(plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps)
+
+
+@eqx.filter_jit
+def _motion(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps):
+    return motion_run(plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps)
+
+
+@eqx.filter_jit
+def _run_and_derivative(plant, x0, start, end, slots, along, sampling_time, laws, scheduling, substeps):
+    """Outputs, and their derivatives along directions given as stacked tangents of everything."""
+
+    def run(changes):
+        dM, dD, dK, dx0, dslots, dstart, dend = changes
+        moved = Plant(plant.mass + dM, plant.damping + dD, plant.stiffness + dK, plant.drive, plant.measured)
+        here = slots if slots is None else Slots(slots.law, slots.arms, slots.channel, slots.values + dslots)
+        first = start if dstart is None else start + dstart
+        second = end if dend is None else end + dend
+        return plant_run(
+            moved, x0 + dx0, first, second, here, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
+        )
+
+    still = jax.tree.map(lambda x: jnp.zeros(x.shape[1:]), along)
+    return jax.vmap(lambda change: jax.jvp(run, (still,), (change,)), out_axes=(None, -1))(along)
+
+
+@eqx.filter_jit
+def _output_stage(flat, y, u, dy, sampling_time, terms):
+    """Outputs after the output terms, derivatives carried through, and those by the terms' own values."""
+
+    def build(vector, clean):
+        for term in _filled(terms, vector):
+            k = term.place.first
+            changed = term.effect.apply(term.values, clean[:, k], source_of(term, clean, u), sampling_time)
+            clean = clean.at[:, k].set(changed)
+        return clean
+
+    carried = jax.vmap(lambda t: jax.jvp(lambda c: build(flat, c), (y,), (t,))[1], in_axes=-1, out_axes=-1)(dy)
+    return build(flat, y), carried, jax.jacfwd(build)(flat, y)
+
+
+@eqx.filter_jit
+def _output_only(flat, y, u, sampling_time, terms):
+    for term in _filled(terms, flat):
+        k = term.place.first
+        changed = term.effect.apply(term.values, y[:, k], source_of(term, y, u), sampling_time)
+        y = y.at[:, k].set(changed)
+    return y
+
+
+class Form(eqx.Module):
+    """A law at a place without values: what is static about a term."""
+
+    effect: AbstractEffect
+    place: Place
+
+
+def forms(terms: tuple[Term, ...]) -> tuple[Form, ...]:
+    """What is static about some terms."""
+    return tuple(Form(term.effect, term.place) for term in terms)
+
+
+class Simulator:
+    """Free runs of candidates on records, with derivatives; holds nothing but what is static.
+
+    **Arguments:** `setup`; `laws`: force laws of the catalogue; `substeps`: steps per sample of added forces.
+    """
+
+    def __init__(self, setup: Setup, laws: tuple[AbstractForceEffect, ...], *, substeps: int = 1):
+        self.setup = setup
+        self.laws = laws
+        self.substeps = substeps
+
+    def _plant(self, candidate: Candidate):
+        terms = _only(candidate.terms, AbstractMatrixEffect)
+        return _plant_stage(
+            jnp.asarray(candidate.entries),
+            jnp.asarray(_values(terms)),
+            self.setup.matrices,
+            self.setup.drive,
+            self.setup.measured,
+            forms(terms),
+        )
+
+    def plant(self, candidate: Candidate) -> Plant:
+        """The plant of a candidate, with its matrix terms."""
+        return self._plant(candidate)[0]
+
+    def _inputs(self, candidate: Candidate, data: Data):
+        terms = _only(candidate.terms, AbstractInputEffect)
+        start, end = held_input(jnp.asarray(data.u), data.hold)
+        if not terms:
+            return (start, end), None
+        return _input_stage(jnp.asarray(_values(terms)), start, end, _time(data), forms(terms))
+
+    def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
+        """Outputs of a candidate on one record, padding included."""
+        plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
+        y = _run(plant, x0, start, end, slots, _time(data), table, jnp.asarray(data.scheduling), self._steps(slots))[
+            :, : self.setup.dofs
+        ]
+        terms = _only(candidate.terms, AbstractOutputEffect)
+        if terms:
+            flat = jnp.asarray(_values(terms))
+            y = _output_only(flat, y, jnp.asarray(data.u), _time(data), forms(terms))
+        return np.asarray(y)
+
+    def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements and velocities of all coordinates on one record, padding included."""
+        plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
+        q, v = _motion(
+            plant, x0, start, end, slots, _time(data), table, jnp.asarray(data.scheduling), self._steps(slots)
+        )
+        return np.asarray(q), np.asarray(v)
+
+    def _steps(self, slots):
+        return 1 if slots is None else self.substeps
+
+    def _parts(self, candidate, data, record):
+        plant, dplant = self._plant(candidate)
+        (start, end), dinput = self._inputs(candidate, data)
+        table = law_table(candidate.terms, self.laws)
+        slots = slots_of(candidate.terms, plant, table)
+        dofs, total = self.setup.dofs, plant.mass.shape[0]
+        x0 = np.zeros(2 * total)
+        x0[:dofs], x0[total : total + dofs] = np.split(candidate.x0[record], 2)
+        return plant, jnp.asarray(x0), start, end, slots, table, dplant, dinput
+
+    def run_and_jacobian(
+        self, candidate: Candidate, data: Data, record: int = 0
+    ) -> tuple[Float[np.ndarray, "samples outputs"], Float[np.ndarray, "samples outputs parameters"]]:
+        """Outputs, and their Jacobian by entries, this record's first state and the estimated values of all terms."""
+        plant, x0, start, end, slots, table, dplant, dinput = self._parts(candidate, data, record)
+        dofs, total = self.setup.dofs, plant.mass.shape[0]
+        entries = len(candidate.entries)
+        columns, series = [], []
+        # Columns in the order of the parameters: entries, first state, then the values term by term.
+        zero = {
+            "matrix": np.zeros((total, total)),
+            "x0": np.zeros(2 * total),
+            "slots": None if slots is None else np.zeros(slots.values.shape),
+        }
+
+        def column(matrices=None, x0=None, slots=None):
+            M, D, K = (zero["matrix"],) * 3 if matrices is None else matrices
+            return (M, D, K, zero["x0"] if x0 is None else x0, zero["slots"] if slots is None else slots)
+
+        dM, dD, dK = (np.asarray(d) for d in dplant)
+        for k in range(entries):
+            columns.append(column((dM[..., k], dD[..., k], dK[..., k])))
+        for k in range(2 * dofs):
+            unit = np.zeros(2 * total)
+            unit[k if k < dofs else total + k - dofs] = 1.0
+            columns.append(column(x0=unit))
+        order: list[tuple[str, int]] = [("plant", k) for k in range(len(columns))]
+        at = {"matrix": entries, "input": 0, "output": 0, "slot": 0}
+        for term in candidate.terms:
+            count = len(term.effect.parameters)
+            for j in estimated(term):
+                if isinstance(term.effect, AbstractMatrixEffect):
+                    k = at["matrix"] + j
+                    columns.append(column((dM[..., k], dD[..., k], dK[..., k])))
+                    order.append(("plant", len(columns) - 1))
+                elif isinstance(term.effect, AbstractForceEffect):
+                    unit = np.zeros(slots.values.shape)
+                    unit[at["slot"], j] = 1.0
+                    columns.append(column(slots=unit))
+                    order.append(("plant", len(columns) - 1))
+                elif isinstance(term.effect, AbstractInputEffect):
+                    series.append(at["input"] + j)
+                    order.append(("series", len(series) - 1))
+                else:
+                    order.append(("output", at["output"] + j))
+            if isinstance(term.effect, AbstractMatrixEffect):
+                at["matrix"] += count
+            elif isinstance(term.effect, AbstractForceEffect):
+                at["slot"] += 1
+            elif isinstance(term.effect, AbstractInputEffect):
+                at["input"] += count
+            else:
+                at["output"] += count
+        scheduling = jnp.asarray(data.scheduling)
+
+        def derivative(columns, dstart, dend, count):
+            rows = []
+            for parts in zip(*columns):
+                rows.append(None if parts[0] is None else np.stack(parts))
+            along = (*rows, dstart, dend)
+            along = jax.tree.map(lambda X: _pad(X, count), along)
+            return _run_and_derivative(
+                plant, x0, start, end, slots, along, _time(data), table, scheduling, self._steps(slots)
+            )
+
+        y, J = derivative(columns, None, None, _rounded(len(columns)))
+        parts = [np.asarray(J)[:, :dofs, : len(columns)]]
+        if series:
+            dstart, dend = (np.moveaxis(np.asarray(d)[..., series], -1, 0) for d in dinput)
+            still = [column() for _ in series]
+            _, J = derivative(still, dstart, dend, _rounded(len(series)))
+            parts.append(np.asarray(J)[:, :dofs, : len(series)])
+        y, J = np.asarray(y)[:, :dofs], np.concatenate(parts, axis=2)
+        terms = _only(candidate.terms, AbstractOutputEffect)
+        extra = None
+        if terms:
+            width = _rounded(J.shape[2])
+            wide = np.pad(J, ((0, 0), (0, 0), (0, width - J.shape[2])))
+            flat = jnp.asarray(_values(terms))
+            y, carried, extra = _output_stage(
+                flat, jnp.asarray(y), jnp.asarray(data.u), jnp.asarray(wide), _time(data), forms(terms)
+            )
+            y, J, extra = np.asarray(y), np.asarray(carried)[:, :, : J.shape[2]], np.asarray(extra)
+        first = len(columns)
+        picked = [
+            extra[..., k] if kind == "output" else J[..., k if kind == "plant" else first + k] for kind, k in order
+        ]
+        return y, np.stack(picked, axis=-1)
+
+
+def _rounded(count: int) -> int:
+    return -(-count // DIRECTIONS) * DIRECTIONS
+
+
+def _pad(X, count: int) -> np.ndarray:
+    return np.concatenate([X, np.zeros((count - X.shape[0], *X.shape[1:]))])
+
+
+def _time(data: Data) -> Array:
+    # As an array, since a plain number would be compiled in.
+    return jnp.asarray(data.sampling_time)

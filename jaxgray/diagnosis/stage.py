@@ -1,0 +1,172 @@
+"""One round of the diagnosis: what is left of a model's free run, and what would explain it."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..mechanics.effects.base import AbstractEffect
+from ..mechanics.extended import Plant, input_matrix_of
+from ..mechanics.statespace import StateSpace, sampled
+from .features import Features, Motion, features
+from .problem import Candidate, Data
+from .residual import Chain, counted, estimate_chain, smoothed_states, white_chain
+from .response import Simulator
+from .screening import Screening, screen
+from .sizes import scales_at
+
+LINES = 4
+"""Strongest lines of the residual's spectrum that are tried as frequencies."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A model on the estimation record: residual, sensitivities and the means to look further.
+
+    `candidate`; `e`, `J`; `plant`; `system`: sampled, outputs that are measured; `force`: mean square of each input;
+    `motion`: simulated.
+    """
+
+    candidate: Candidate
+    e: Float[np.ndarray, "samples outputs"]
+    J: Float[np.ndarray, "samples outputs parameters"]
+    plant: Plant
+    system: StateSpace
+    force: Float[np.ndarray, " inputs"]
+    motion: Motion
+
+    @property
+    def taken(self) -> frozenset:
+        """Effects and places that are in the model."""
+        return frozenset((t.effect.id, t.place.name) for t in self.candidate.terms)
+
+
+def stage_of(simulator: Simulator, candidate: Candidate, data: Data, record: int = 0) -> Stage:
+    """Simulate a candidate and gather what a round needs."""
+    y, J = simulator.run_and_jacobian(candidate, data, record)
+    e = np.where(data.kept, data.y - y, 0.0)
+    plant = simulator.plant(candidate)
+    q, v = simulator.motion(candidate, data, record)
+    system = sampled_plant(plant, data, simulator.setup.dofs)
+    force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
+    return Stage(candidate, e, J, plant, system, force, Motion(q, v, y))
+
+
+@eqx.filter_jit
+def _sampled(plant: Plant, time, hold: str) -> StateSpace:
+    continuous = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, time)
+    return sampled(continuous, 1.0, hold)
+
+
+def sampled_plant(plant: Plant, data: Data, outputs: int) -> StateSpace:
+    """The linear part at its sampling instants, with the outputs that are measured."""
+    system = _sampled(plant, jnp.asarray(data.sampling_time), data.hold)
+    return StateSpace(system.A, system.B, system.C[:outputs], system.D[:outputs])
+
+
+def lines_of(e: Float[np.ndarray, "samples outputs"], data: Data, count: int = LINES) -> tuple[float, ...]:
+    """Frequencies [Hz] of the strongest peaks of a residual's spectrum, interpolated between bins."""
+    n = data.samples
+    size = max(float(np.sqrt(np.mean(e[:n] ** 2))), 1e-300)
+    window = np.hanning(n)[:, None]
+    centred = (e[:n] - e[:n].mean(axis=0)) / size
+    padded = 4 * n
+    power = np.sum(np.abs(np.fft.rfft(centred * window, padded, axis=0)) ** 2, axis=1)
+    frequency = np.fft.rfftfreq(padded, data.sampling_time)
+    power[:8] = 0.0
+    found = []
+    for _ in range(count):
+        k = int(np.argmax(power))
+        if not power[k] > 0 or k >= len(power) - 1:
+            break
+        left, here, right = np.log(np.maximum(power[[k - 1, k, k + 1]], 1e-300))
+        bend = left - 2 * here + right
+        shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
+        found.append(float(frequency[k] + np.clip(shift, -1, 1) * frequency[1]))
+        power[max(0, k - 16) : k + 17] = 0.0
+    while len(found) < count:
+        found.append(found[-1] if found else 1.0 / (10 * data.sampling_time))
+    return tuple(found)
+
+
+def look(
+    stage: Stage,
+    data: Data,
+    catalogue: tuple[AbstractEffect, ...],
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    *,
+    chain: Chain | None = None,
+    surrogates: int = 100,
+    rng: np.random.Generator | None = None,
+) -> tuple[Screening, Features]:
+    """The gate: every candidate with features from the simulated motion."""
+    made = _features(stage, stage.motion, data, catalogue, names)
+    start = white_chain(stage.e, data.kept, stage.system) if chain is None else chain
+    found = screen(stage.e, stage.J, data, made, stage.system, stage.force, start, surrogates=surrogates, rng=rng)
+    return found, made
+
+
+def look_closer(
+    stage: Stage,
+    data: Data,
+    catalogue: tuple[AbstractEffect, ...],
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    chain: Chain,
+) -> Screening:
+    """The ranking: candidates with features from the measured motion, smoothed."""
+    motion = measured_motion(stage, data)
+    made = _features(stage, motion, data, catalogue, names)
+    return screen(stage.e, stage.J, data, made, stage.system, stage.force, chain, rounds=1)
+
+
+def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Features:
+    inputs, outputs = names
+    scales = scales_at(stage.plant, motion, data, inputs, outputs, lines_of(stage.e, data))
+    return features(stage.plant, motion, data, catalogue, scales, inputs, outputs, stage.taken)
+
+
+def measured_motion(stage: Stage, data: Data) -> Motion:
+    """The measured motion, smoothed: the simulated one and what the residual says of the states."""
+    plant, h = stage.plant, data.sampling_time
+    dofs = plant.mass.shape[0]
+    push = np.linalg.solve(np.asarray(plant.mass), np.eye(dofs)) * h**2
+    B = np.concatenate([np.zeros_like(push), push])
+    outputs = stage.system.C.shape[0]
+    accelerated = np.array([kind == "acceleration" for kind in plant.measured[:outputs]])
+    D = np.where(accelerated[:, None], push[:outputs] / h**2, 0.0)
+    Bd = _held(np.asarray(plant_matrix(plant, h)), B)
+    system = StateSpace(stage.system.A, jnp.asarray(Bd), stage.system.C, jnp.asarray(D))
+    map_ = np.asarray(input_matrix_of(plant.drive))
+    force = np.mean((data.u[: data.samples] @ map_.T) ** 2, axis=0)
+    force = np.maximum(force, 1e-6 * max(float(force.max()), 1e-300))
+    # The mean is no motion: a constant would drag the smoothed states along.
+    chain = estimate_chain(stage.e, data.kept, system, force)
+    ratio = chain.ratio if chain.ratio > 0 else 1e-8
+    x = smoothed_states(system, stage.e, data.kept, force, ratio)
+    q, v = stage.motion.q + x[:, :dofs], stage.motion.v + x[:, dofs:] / h
+    if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
+        return stage.motion
+    # Outputs stay simulated: made from measured ones, features of the sensors would share the residual's noise.
+    return Motion(q, v, stage.motion.y)
+
+
+def plant_matrix(plant: Plant, h: float):
+    """A of the first-order form, time in units of `h` [s]."""
+    return plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, h).A
+
+
+def _held(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """B of a zero-order hold over one unit of time."""
+    import scipy.linalg
+
+    states, inputs = B.shape
+    block = np.zeros((states + inputs, states + inputs))
+    block[:states, :states], block[:states, states:] = A, B
+    return scipy.linalg.expm(block)[:states, states:]
+
+
+def rows_of(data: Data) -> int:
+    """Output samples that count."""
+    return int(counted(data.kept).sum())

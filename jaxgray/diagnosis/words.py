@@ -1,0 +1,349 @@
+"""A diagnosis in words: readable names, the verdict as a sentence, everything on one screen."""
+
+import math
+import re
+import textwrap
+from typing import TYPE_CHECKING
+
+from ..numerics.text import listed, plus_minus
+
+if TYPE_CHECKING:
+    from .result import Diagnosis, Estimate, Finding, Gain, ParameterShift
+
+ONLY_NOISE = 1.05
+"""RMSE over noise floor up to which what is left counts as noise."""
+
+SHOWN = 3
+"""Parameters of one effect, and outputs, that a sentence names at most."""
+
+MODEL_ERRORS = {"mass_error": "mass", "damping_error": "damping", "stiffness_error": "stiffness"}
+
+NAMES = {
+    "cubic_stiffness": "cubic stiffness",
+    "quadratic_stiffness": "quadratic stiffness",
+    "dead_zone_stiffness": "stiffness with a dead zone",
+    "end_stop": "end stop",
+    "bilinear_stiffness": "bilinear stiffness",
+    "sine_stiffness": "sine-shaped stiffness",
+    "constant_force": "constant force",
+    "position_dependent_stiffness": "scheduled stiffness",
+    "coulomb_friction": "Coulomb friction",
+    "stribeck_friction": "Stribeck friction",
+    "asymmetric_friction": "asymmetric friction",
+    "quadratic_drag": "quadratic drag",
+    "position_dependent_friction": "position-dependent friction",
+    "fractional_damping": "fractional (structural) damping",
+    "dahl_friction": "Dahl friction",
+    "bouc_wen_hysteresis": "Bouc-Wen hysteresis",
+    "maxwell_slip_hysteresis": "Maxwell-slip hysteresis",
+    "gyroscopic_coupling": "gyroscopic coupling",
+    "circulatory_coupling": "circulatory coupling",
+    "input_delay": "input delay",
+    "actuator_lag": "actuator lag",
+    "intersample_hold": "another hold between samples",
+    "input_saturation": "input saturation",
+    "input_dead_zone": "input dead zone",
+    "input_quadratic": "quadratic input",
+    "input_position_gain": "motion-dependent input gain",
+    "play_hysteresis": "play hysteresis",
+    "actuator_creep": "actuator creep",
+    "sensor_offset": "sensor offset",
+    "sensor_drift": "sensor drift",
+    "sensor_delay": "sensor delay",
+    "sensor_lag": "sensor lag",
+    "sensor_crosstalk": "sensor crosstalk",
+    "sensor_nonlinearity": "sensor nonlinearity",
+    "clock_scale": "clock running at another rate",
+    "unmodelled_mode": "unmodelled mode",
+    "stiffness_drift": "stiffness drift",
+    "stiffness_step": "stiffness step",
+    "mass_step": "mass step",
+    "periodic_disturbance": "periodic disturbance",
+    "force_step": "force step",
+    "mass_error": "wrong mass",
+    "damping_error": "wrong damping",
+    "stiffness_error": "wrong stiffness",
+    "sensor_clipping": "sensor clipping",
+    "sensor_quantization": "sensor quantization",
+    "outliers": "outliers",
+    "dropped_samples": "dropped samples",
+    "process_noise": "process noise",
+    "closed_loop": "closed loop",
+}
+"""What an effect is called in a sentence."""
+
+
+def name_of(effect: str) -> str:
+    """What an effect is called in a sentence, from its id."""
+    return NAMES.get(effect, effect.replace("_", " "))
+
+
+def place_of(location: str, names: tuple[str, ...] = ()) -> str:
+    """A place in words: "at y1", "between y1 and y2", "from u1 to y1".
+
+    **Arguments:** `location`: as in files; `names`: of the outputs, which may have hyphens of their own; default
+    none, then one hyphen parts two names.
+
+    **Returns:** the words, empty for no place.
+    """
+    if not location:
+        return ""
+    if location == "record":
+        return "in the record"
+    if "->" in location:
+        source, _, target = location.partition("->")
+        return f"from {source} to {target}"
+    if location not in names:
+        cuts = [k for k, letter in enumerate(location) if letter == "-"]
+        pairs = [(location[:k], location[k + 1 :]) for k in cuts]
+        for first, second in pairs:
+            if (first in names and second in names) or (not names and len(pairs) == 1):
+                return f"between {first} and {second}"
+    return f"at {location}"
+
+
+def title_of(effect: str, location: str, names: tuple[str, ...] = ()) -> str:
+    """Name and place: "Coulomb friction at y1"."""
+    return f"{name_of(effect)} {place_of(location, names)}".strip()
+
+
+def value_text(value, error, unit: str = "", *, digits: int = 2) -> str:
+    """A number, or several, ± standard error with the unit; a word as it is."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, list | tuple):
+        errors = error if isinstance(error, list | tuple) else [None] * len(value)
+        text = ", ".join(plus_minus(v, e, digits=digits) for v, e in zip(value, errors))
+    else:
+        text = plus_minus(value, error, digits=digits)
+    return f"{text} {unit}".strip()
+
+
+def parameters_text(parameters: "dict[str, Estimate]", *, digits: int = 1, most: int = SHOWN) -> str:
+    """What was estimated, "Fc = 0.241 ± 0.002 N"; what was fixed is left out unless it is a word or all there is."""
+    told = {k: e for k, e in parameters.items() if e.standard_error is not None or isinstance(e.value, str)}
+    parts = [
+        f"{name} = {value_text(e.value, e.standard_error, e.unit, digits=digits)}"
+        for name, e in list((told or parameters).items())[:most]
+    ]
+    return ", ".join(parts)
+
+
+def verdict_sentence(diagnosis: "Diagnosis") -> str:
+    """The verdict in words: what is missed, its cause, what mending it buys, and where it had been hidden.
+
+    **Arguments:** `diagnosis`.
+
+    **Returns:** a few sentences in one line.
+    """
+    subject = "Your model" if diagnosis.own_model else "The linear model"
+    causes = [f for f in diagnosis.findings if f.stage == "model" and f.effect and f.status != "unexplained"]
+    parts = [_missed(diagnosis, subject, bool(causes))]
+    if causes:
+        parts += _causes(diagnosis, causes)
+        parts += [_gain(diagnosis, causes)]
+    if diagnosis.verdict in ("unexplained", "partly"):
+        parts += [_unexplained(diagnosis, bool(causes))]
+    if causes and not diagnosis.own_model:
+        parts += [_hidden(diagnosis)]
+    seen = [f for f in diagnosis.findings if f.stage == "record"]
+    if seen:
+        names = diagnosis.baseline.model.output_names
+        parts += [f"Seen in the record: {listed(title_of(f.effect, f.location, names) for f in seen)}."]
+    return " ".join(part for part in parts if part)
+
+
+def _missed(diagnosis: "Diagnosis", subject: str, causes: bool) -> str:
+    """How far the baseline is from the noise, where it is farthest."""
+    excess, place = worst_output(diagnosis)
+    where = f" at {place}" if place else ""
+    if diagnosis.verdict == "noise" and not causes:
+        return (
+            f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
+            "nothing is missing that this record could show."
+        )
+    return f"{subject} misses {times(excess)} the noise floor{where}."
+
+
+def times(excess: float) -> str:
+    """A ratio as a person says it: 2.8×, 31×."""
+    if not math.isfinite(excess):
+        return "an unknown multiple of"
+    return f"{excess:.2f}×" if excess < 1.95 else f"{excess:.1f}×" if excess < 9.95 else f"{excess:.0f}×"
+
+
+def worst_output(diagnosis: "Diagnosis") -> tuple[float, str]:
+    """RMSE of the baseline over the noise floor where it is largest, held out if possible, and the output's name."""
+    rmse = diagnosis.baseline.rmse
+    held = rmse.get("validation") or rmse.get("estimation") or {}
+    ratios = {
+        name: value / diagnosis.noise_floor[name]
+        for name, value in held.items()
+        if value is not None and diagnosis.noise_floor.get(name)
+    }
+    ratios = {name: ratio for name, ratio in ratios.items() if math.isfinite(ratio)}
+    if not ratios:
+        return diagnosis.baseline_excess, ""
+    place = max(ratios, key=ratios.__getitem__)
+    return ratios[place], place
+
+
+def _causes(diagnosis: "Diagnosis", causes: "list[Finding]") -> list[str]:
+    """The causes; with the user's own model in two parts, numbers and structure."""
+    if not diagnosis.own_model:
+        return [_named(diagnosis, causes, "Cause" if len(causes) == 1 else "Causes")]
+    wrong = [f for f in causes if f.effect in MODEL_ERRORS]
+    laws = [f for f in causes if f.effect not in MODEL_ERRORS]
+    names = diagnosis.baseline.model.output_names
+    parts = []
+    if wrong:
+        parts.append("Your numbers: " + listed(_correction(f, names) for f in wrong) + ".")
+    if laws:
+        parts.append(_named(diagnosis, laws, "Your structure lacks"))
+    return parts
+
+
+def _correction(finding: "Finding", names: tuple[str, ...]) -> str:
+    """How an entry that was given should change."""
+    what = f"the {MODEL_ERRORS[finding.effect]} {place_of(finding.location, names)}"
+    delta = finding.parameters.get("delta")
+    if delta is None:
+        return f"{what} is wrong"
+    size = value_text(abs(delta.value), delta.standard_error, delta.unit, digits=1)
+    text = f"{what} should be {'higher' if delta.value > 0 else 'lower'} by {size}"
+    return text + _rivals(finding, names)
+
+
+def _rivals(finding: "Finding", names: tuple[str, ...]) -> str:
+    """The other members of a class, for what is not separated."""
+    others = [m for m in finding.members if (m.effect, m.location) != (finding.effect, finding.location)]
+    if finding.status != "equivalent" or not others:
+        return ""
+    return ", or " + listed(_titled(m, names) for m in others).replace(" and ", ", or ")
+
+
+def _titled(one, names: tuple[str, ...]) -> str:
+    """Name, place and parameters of a finding or member."""
+    return ", ".join(filter(None, (title_of(one.effect, one.location, names), parameters_text(one.parameters))))
+
+
+def _named(diagnosis: "Diagnosis", causes: "list[Finding]", head: str) -> str:
+    names = diagnosis.baseline.model.output_names
+    texts = []
+    for finding in causes:
+        text = _titled(finding, names) + _rivals(finding, names)
+        texts.append(text + (" (part of it)" if finding.status == "partly" else ""))
+    sentence = f"{head}: {'; '.join(texts)}."
+    if any(f.status == "equivalent" for f in causes):
+        proposed = diagnosis.next_experiment is not None
+        sentence += " This record cannot tell them apart" + (
+            "; an experiment that can is proposed." if proposed else "."
+        )
+    return sentence
+
+
+def _gain(diagnosis: "Diagnosis", causes: "list[Finding]") -> str:
+    """What mending all of it takes off the error, and what is left."""
+    gain = diagnosis.gain
+    if gain is None or not math.isfinite(gain.percent):
+        return ""
+    wrong = sum(f.effect in MODEL_ERRORS for f in causes)
+    verb = "Adding" if not wrong else "Correcting" if wrong == len(causes) else "Mending"
+    count = {1: "it", 2: "both", 3: "all three", 4: "all four"}.get(len(causes), "all of them")
+    error = "the held-out error" if gain.held_out else "the error"
+    if gain.percent > 0:
+        change = f"{verb} {count} cuts {error} by {gain_text(gain)}"
+    else:
+        change = f"{verb} {count} does not lower {error} ({gain_text(gain)})"
+    if not gain.held_out:
+        change += " on the data it was fitted to (in-sample, not proven on held-out data)"
+    if diagnosis.excess < ONLY_NOISE:
+        return f"{change} and leaves only noise."
+    return f"{change} and leaves {times(diagnosis.excess)} the noise floor."
+
+
+def gain_text(gain: "Gain") -> str:
+    """64 % (61 to 67)."""
+    low, high = gain.ci95
+    interval = f" ({low:.0f} to {high:.0f})" if math.isfinite(low) and math.isfinite(high) else ""
+    return f"{gain.percent:.0f} %{interval}"
+
+
+def _unexplained(diagnosis: "Diagnosis", causes: bool) -> str:
+    """What is not named, and on which variables it depends."""
+    head = "What is left has no name in the catalogue" if causes else "No effect of the catalogue explains it"
+    if diagnosis.depends_on:
+        return f"{head}; it depends on {listed(diagnosis.depends_on)}."
+    return f"{head}."
+
+
+_ENTRY = re.compile(r"^(mass|damping|stiffness)\s*\[\s*(.+?)\s*,\s*(.+?)\s*\]$")
+
+
+def entry_of(name: str, outputs: tuple[str, ...]) -> tuple[str, str, str]:
+    """Matrix, row and column (names of outputs) of an entry such as "damping[0,1]"; empty where it is none."""
+    match = _ENTRY.match(name)
+    if match is None:
+        return "", "", ""
+    matrix, *places = match.groups()
+    r, c = (outputs[int(p)] if p.isdigit() and int(p) < len(outputs) else p for p in places)
+    return matrix, r, c
+
+
+def _hidden(diagnosis: "Diagnosis") -> str:
+    """Which entry of the linear model had taken the effect in, if one clearly had."""
+    outputs = diagnosis.baseline.model.output_names
+
+    def clear(shift: "ParameterShift") -> bool:
+        matrix, r, c = entry_of(shift.name, outputs)
+        change, after = abs(shift.before - shift.after), abs(shift.after)
+        error = shift.standard_error if shift.standard_error is not None else after / 60
+        return matrix != "" and r == c and after > 3 * error and change > 3 * error and change > 0.01 * after
+
+    shifts = [shift for shift in diagnosis.shifts if clear(shift)]
+    if not shifts:
+        return ""
+    most = max(shifts, key=lambda s: abs(s.before / s.after - 1))
+    matrix, place, _ = entry_of(most.name, outputs)
+    where = f"the {matrix}" + (f" at {place}" if len(outputs) > 1 else "")
+    percent = 100 * (most.before / most.after - 1)
+    return f"It had been hidden as {percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in {where}."
+
+
+def describe(diagnosis: "Diagnosis") -> str:
+    """Verdict, findings, what is left, the next experiment and warnings.
+
+    **Arguments:** `diagnosis`.
+
+    **Returns:** the text, not ending in a newline.
+    """
+    names = diagnosis.baseline.model.output_names
+    lines = [f"Diagnosis: {diagnosis.verdict}", *_filled(verdict_sentence(diagnosis), "  ")]
+    rows = [("finding", "status", "ΔBIC", "gain", "parameters")]
+    for f in diagnosis.findings:
+        rows.append(
+            (
+                title_of(f.effect, f.location, names),
+                f.status if f.stage == "model" else "record",
+                "–" if f.delta_bic is None else f"{f.delta_bic:.0f}",
+                "–" if f.gain is None else gain_text(f.gain),
+                parameters_text(f.parameters, digits=2) or "–",
+            )
+        )
+    if len(rows) > 1:
+        width = [max(len(row[k]) for row in rows) for k in range(5)]
+        lines += ["  " + "  ".join(text.ljust(w) for text, w in zip(row, width)).rstrip() for row in rows]
+    colour = "white" if diagnosis.white else "not white"
+    lines.append(
+        f"  left: {times(diagnosis.excess)} the noise floor ({diagnosis.noise_floor_source}), {colour}; "
+        f"{len(diagnosis.rejected)} candidates rejected, {len(diagnosis.not_found)} not found"
+    )
+    if diagnosis.next_experiment is not None:
+        lines += _filled(f"next experiment: {diagnosis.next_experiment.text}", "  ")
+    for text in diagnosis.warnings:
+        lines += _filled(f"warning: {text}", "  ")
+    return "\n".join(lines)
+
+
+def _filled(text: str, indent: str) -> list[str]:
+    return textwrap.wrap(text, 108, initial_indent=indent, subsequent_indent=indent)

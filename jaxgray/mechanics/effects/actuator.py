@@ -1,0 +1,271 @@
+"""What happens to an input between the recorded command and the force on the plant.
+
+In the units of these parameters "force" stands for the unit of the input. Before the record the input has its
+first value.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...numerics.lifting import respond
+from .base import AbstractForceEffect, AbstractInputEffect, Parameter
+from .stiffness import beyond
+
+SAMPLES = (0.5, 2.0, 8.0)
+"""Typical delays and lags, in samples."""
+
+
+def delayed(series, steps, before):
+    """A series `steps` samples later (any real number ≥ 0) by linear interpolation, `before` ahead of its start."""
+    samples = series.shape[0]
+    whole = jnp.clip(jnp.floor(steps), 0, samples)
+    part = jnp.clip(steps - whole, -1.0, 1.0)
+    padded = jnp.concatenate([jnp.full(samples + 1, before, dtype=series.dtype), series])
+    late = jnp.arange(samples) + samples + 1 - whole.astype(int)
+    return (1.0 - part) * padded[late] + part * padded[late - 1]
+
+
+def decay(lag):
+    """exp(−1/lag), with the limit 0 (and slope 0) for lag → 0; `lag` is a time constant in samples."""
+    fast = lag < 1e-2
+    return jnp.where(fast, 0.0, jnp.exp(-1.0 / jnp.where(fast, 1.0, lag)))
+
+
+def lag_step(lag):
+    """Recursion x⁺ = A x + B (a, b) over one sample of τẋ + x = a + b s, s from 0 to 1: (A, B)."""
+    E = decay(lag)
+    return E[None, None], jnp.stack([1.0 - E, 1.0 - lag * (1.0 - E)])[None]
+
+
+def _moments(lag):
+    """Mean and least-squares slope of exp(−s/lag) over 0 ≤ s ≤ 1."""
+    slow = lag > 10.0
+    y = 1.0 / jnp.where(slow, lag, 10.0)
+    series = -y + y**2 / 2.0 - 3.0 * y**3 / 20.0 + y**4 / 30.0 - y**5 / 168.0
+    E = decay(lag)
+    mean_slow = -lag * jnp.expm1(-y)
+    mean = jnp.where(slow, mean_slow, lag * (1.0 - E))
+    first = jnp.where(slow, 0.0, lag) ** 2 * (1.0 - E) - jnp.where(slow, 0.0, lag) * E
+    return mean, jnp.where(slow, series, 12.0 * first - 6.0 * mean)
+
+
+def lagged(start, end, lag):
+    """An input through a first-order lag of `lag` samples: over each sample the straight line closest to the lagged
+    input (least squares: same mean and first moment), the recursion itself exact."""
+    lag = jnp.asarray(lag, dtype=start.dtype)
+    A, B = lag_step(lag)
+    mean, slope = _moments(lag)
+    # Lagged input: a + b(s − lag) + c exp(−s/lag) with c = x − a + b·lag.
+    C = jnp.stack([mean, slope])[:, None]
+    D = jnp.stack(
+        [
+            jnp.stack([1.0 - mean, 0.5 - lag + mean * lag]),
+            jnp.stack([-slope, 1.0 + slope * lag]),
+        ]
+    )
+    line = respond(A, B, C, D, jnp.stack([start, end - start], axis=1), start[:1])
+    return line[:, 0] - 0.5 * line[:, 1], line[:, 0] + 0.5 * line[:, 1]
+
+
+class InputDelay(AbstractInputEffect):
+    """The force comes later than the command."""
+
+    id = "input_delay"
+    family = "actuator"
+    law = "u(t − tau)"
+    parameters = (Parameter("tau", (0, 0, 1), lower=0.0, amplitude=True),)
+    parity = "odd"
+    signature = "residual in quadrature with the input, growing with frequency"
+    reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
+    places = "input"
+
+    def shapes(self, scales):
+        return [np.array([count * scales.sampling_time]) for count in SAMPLES]
+
+    def apply(self, p, start, end, time):
+        steps = p[0] / time
+        return delayed(start, steps, start[0]), delayed(end, steps, start[0])
+
+
+class ActuatorLag(AbstractInputEffect):
+    """The force follows the command as a first-order system."""
+
+    id = "actuator_lag"
+    family = "actuator"
+    law = "tau·u̇_a + u_a = u"
+    parameters = (Parameter("tau", (0, 0, 1), lower=0.0, amplitude=True),)
+    parity = "odd"
+    signature = "delay with a gain that drops over frequency"
+    reference = "Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., Addison-Wesley 1998"
+    places = "input"
+
+    def shapes(self, scales):
+        return [np.array([count * scales.sampling_time]) for count in SAMPLES]
+
+    def apply(self, p, start, end, time):
+        return lagged(start, end, p[0] / time)
+
+
+class IntersampleHold(AbstractInputEffect):
+    """The input between samples is not held as said.
+
+    Under a zero-order hold linear_share = 1 stands for a linear hold; a record under a linear hold (start and end
+    of a sample differ) is moved the other way, 1 standing for a zero-order hold.
+    """
+
+    id = "intersample_hold"
+    family = "actuator"
+    law = "u between samples: (1 − linear_share)·hold as said + linear_share·the other of zero-order and linear"
+    parameters = (Parameter("linear_share", lower=0.0, upper=2.0, amplitude=True),)
+    parity = "odd"
+    signature = "half a sample of delay or advance"
+    reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
+    places = "input"
+
+    def shapes(self, scales):
+        return [np.array([1.0])]
+
+    def apply(self, p, start, end, time):
+        following = jnp.concatenate([start[1:], start[-1:]])
+        other = jnp.where(jnp.any(start != end), start, following)
+        return start, end + p[0] * (other - end)
+
+
+class InputSaturation(AbstractInputEffect):
+    """The force ends at a limit.
+
+    The response is not linear in the limit: a shape stands for itself, and is plausible where its weight is near 1.
+    """
+
+    id = "input_saturation"
+    family = "actuator"
+    law = "clip(u, ±limit)"
+    parameters = (Parameter("limit", (1, 0, 0), lower=0.0),)
+    parity = "odd"
+    signature = "bursts of residual at peaks of the command"
+    reference = "Hippe, Windup in Control, Springer 2006"
+    places = "input"
+
+    def shapes(self, scales):
+        return [np.array([scales.u_quantiles[k]]) for k in (0, 2, 3, 5)]
+
+    def basis(self, p):
+        return [np.array(p, dtype=float)]
+
+    def combine(self, p, weights):
+        return self.bounded(p)
+
+    def apply(self, p, start, end, time):
+        return jnp.clip(start, -p[0], p[0]), jnp.clip(end, -p[0], p[0])
+
+
+class InputDeadZone(AbstractInputEffect):
+    """Small commands make no force; a small width takes about width·sign(u) away."""
+
+    id = "input_dead_zone"
+    family = "actuator"
+    law = "u − clip(u, ±width)"
+    parameters = (Parameter("width", (1, 0, 0), lower=0.0, amplitude=True),)
+    parity = "odd"
+    signature = "residual like the sign of the command, full already at small commands"
+    reference = "Tao & Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, Wiley 1996"
+    places = "input"
+
+    def shapes(self, scales):
+        return [np.array([part * scales.u]) for part in (0.05, 0.3)]
+
+    def apply(self, p, start, end, time):
+        return beyond(start, p[0]), beyond(end, p[0])
+
+
+class InputQuadratic(AbstractInputEffect):
+    """The force has a part with the square of the command (electromagnets, amplifiers)."""
+
+    id = "input_quadratic"
+    family = "actuator"
+    law = "u + a·u²"
+    parameters = (Parameter("a", (-1, 0, 0), amplitude=True),)
+    parity = "even"
+    signature = "even harmonics filtered by the plant"
+    reference = "Schoukens & Tiels, Automatica 85 (2017) 272-292"
+    places = "input"
+
+    def shapes(self, scales):
+        return [np.array([1.0])]
+
+    def apply(self, p, start, end, time):
+        return start + p[0] * start**2, end + p[0] * end**2
+
+
+class PlayHysteresis(AbstractInputEffect):
+    """Prandtl-Ishlinskii sum of three play operators beside the command itself (piezo stacks, gears)."""
+
+    id = "play_hysteresis"
+    family = "actuator"
+    law = "u + Σ w·play(u, r), play: z⁺ = clip(z, u − r, u + r)"
+    parameters = (Parameter("w", amplitude=True),) * 3 + (Parameter("r", (1, 0, 0), lower=0.0),) * 3
+    parity = "odd"
+    signature = "loop of output against command that stays when everything is slow"
+    reference = "Kuhnen, Eur. J. Control 9 (2003) 407-418"
+    places = "input"
+
+    def shapes(self, scales):
+        sets = ((0.03, 0.1, 0.3), (0.1, 0.3, 0.7))
+        return [np.array([1.0, 1.0, 1.0, *(part * scales.u_peak for part in parts)]) for parts in sets]
+
+    def apply(self, p, start, end, time):
+        w, r = p[:3], p[3:]
+
+        def play(z, ends):
+            first = jnp.clip(z, ends[0] - r, ends[0] + r)
+            last = jnp.clip(first, ends[1] - r, ends[1] + r)
+            return last, (first, last)
+
+        _, (first, last) = jax.lax.scan(play, jnp.zeros_like(r), jnp.stack([start, end], axis=1))
+        return start + first @ w, end + last @ w
+
+
+class ActuatorCreep(AbstractInputEffect):
+    """The force goes on growing slowly after the command has changed (piezo stacks, polymers)."""
+
+    id = "actuator_creep"
+    family = "actuator"
+    law = "u + gain·u_c, tau·u̇_c + u_c = u"
+    parameters = (Parameter("gain", amplitude=True), Parameter("tau", (0, 0, 1), lower=0.0))
+    parity = "odd"
+    signature = "one-sided slow tails after steps, that come back after a step back"
+    reference = "Krejčí & Kuhnen, IEE Proc. Control Theory Appl. 148 (2001) 185-192"
+    places = "input"
+
+    def shapes(self, scales):
+        return [np.array([1.0, part * scales.duration]) for part in (0.01, 0.05, 0.2, 0.6)]
+
+    def apply(self, p, start, end, time):
+        slow_start, slow_end = lagged(start, end, p[1] / time)
+        return start + p[0] * slow_start, end + p[0] * slow_end
+
+
+class InputPositionGain(AbstractForceEffect):
+    """The force of an input depends on where (form q) or how fast (form v) its coordinate moves.
+
+    Its law is on the left side: an applied force a·u·q is f = −a·u·q.
+    """
+
+    id = "input_position_gain"
+    family = "actuator"
+    law = "applied force a·u·q or a·u·v beside u"
+    parameters = (
+        Parameter("a", (0, -1, 0), amplitude=True),
+        Parameter("form", lower=0.0, upper=1.0, counts=False, choices=("q", "v")),
+    )
+    parity = "even"
+    signature = "lines at sums and differences of the frequencies of input and motion"
+    reference = "Preumont, Mechatronics: Dynamics of Electromechanical and Piezoelectric Systems, Springer 2006"
+    places = "input"
+
+    def shapes(self, scales):
+        return [np.array([1.0, form]) for form in (0.0, 1.0)]
+
+    def force(self, p, here, z):
+        return -p[0] * here.u * jnp.where(p[1] < 0.5, here.q, here.v)

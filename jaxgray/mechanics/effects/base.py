@@ -1,0 +1,250 @@
+"""What every effect is: a physical law with parameters, acting at a place, that a linear model lacks.
+
+A law is a class without data; a `Term` is a law at a place with values for its parameters. Four kinds enter the
+simulation at four points:
+
+    inputs ─ AbstractInputEffect ─▶ plant (AbstractMatrixEffect) with forces (AbstractForceEffect) ─▶
+    AbstractOutputEffect ─▶ y
+"""
+
+import abc
+from dataclasses import dataclass
+from typing import ClassVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a law.
+
+    `name`: symbol; `unit`: powers of force, length and time it is measured in ("time" is always s); `lower`, `upper`:
+    physical bounds; `amplitude`: whether the law is linear in it (or nearly, while the effect is weak); `counts`:
+    whether it is estimated (and counts in the information criterion), or fixed by the shape and only reported;
+    `choices`: words for the values 0, 1, … of a fixed parameter. Parameters of the same name make a list.
+    """
+
+    name: str
+    unit: tuple[int, int, int] = (0, 0, 0)
+    lower: float = -np.inf
+    upper: float = np.inf
+    amplitude: bool = False
+    counts: bool = True
+    choices: tuple[str, ...] = ()
+
+
+class Local(eqx.Module):
+    """What a force law sees at its place: scalars in a simulation, series over time in a feature.
+
+    `q`, `v`: displacement and velocity of the coordinate, or the difference of two; `a`: acceleration that the
+    linear model has there; `compliance`: bᵀM⁻¹b, the acceleration a unit force makes there; `u`: the input, for a
+    law that acts at an input, otherwise 0; `t` [s] from the start of the record; `p`: scheduling channel, 0 without.
+
+    Inside a step of a simulation also: `behind`: velocity at its beginning; `ahead`: at its end, without this force;
+    `yielding`: velocity that a unit force takes back by then. Otherwise `behind` is None.
+    """
+
+    q: Array
+    v: Array
+    a: Array
+    compliance: Array
+    u: Array
+    t: Array
+    p: Array
+    behind: Array | None = None
+    ahead: Array | None = None
+    yielding: Array | None = None
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes in the record by which shapes are chosen, at one place.
+
+    `q`, `v`: root mean square of displacement and velocity about zero; `q_peak`, `v_peak`: largest absolute values;
+    `q_quantiles`: 0.5, 0.7, 0.8, 0.9, 0.95, 0.98 quantiles of |q|; `u`, `u_peak`, `u_quantiles`: likewise of the
+    input (for input effects); `force`: typical force at the place; `compliance`: bᵀM⁻¹b; `sampling_time` [s];
+    `duration` [s]; `frequencies_hz`: natural frequencies of the linear model; `lines_hz`: strongest lines of the
+    residual's spectrum; `times`: candidate times [s] of a sudden change.
+    """
+
+    q: float
+    v: float
+    q_peak: float
+    v_peak: float
+    q_quantiles: tuple[float, ...]
+    u: float
+    u_peak: float
+    u_quantiles: tuple[float, ...]
+    force: float
+    compliance: float
+    sampling_time: float
+    duration: float
+    frequencies_hz: tuple[float, ...]
+    lines_hz: tuple[float, ...] = ()
+    times: tuple[float, ...] = ()
+
+
+class AbstractEffect(eqx.Module):
+    """A law. Class attributes say what it is; the instance has no data, so that it can be compared and hashed.
+
+    `id`: as in files and messages; `family`: file it belongs to; `parameters`; `parity`: "odd", "even" or "none" of
+    the force in (q, v), or of the signal; `signature`: what gives it away, one line; `law`: formula in words;
+    `reference`; `places`: where it can act: "coordinate" (one to ground), "spring" (one to ground, or between two),
+    "pair" (between two only), "input", "output", "cross" (source->polluted).
+    """
+
+    id: ClassVar[str]
+    family: ClassVar[str]
+    law: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    parity: ClassVar[str] = "none"
+    signature: ClassVar[str]
+    reference: ClassVar[str]
+    places: ClassVar[str]
+
+    @abc.abstractmethod
+    def shapes(self, scales: Scales) -> list[np.ndarray]:
+        """Parameter vectors to try: one per shape, every amplitude 1 and every other parameter set.
+
+        A parameter that is small when the effect is weak (a delay, a gap) is an amplitude too, if the response is
+        nearly linear in it: then its entry is a typical size.
+        """
+
+    def basis(self, p: np.ndarray) -> list[np.ndarray]:
+        """Parameter vectors whose responses, taken linearly, span what a shape can do: one per amplitude, the other
+        amplitudes zero."""
+        amplitudes = [k for k, parameter in enumerate(self.parameters) if parameter.amplitude]
+        vectors = []
+        for k in amplitudes:
+            one = np.array(p, dtype=float)
+            one[[j for j in amplitudes if j != k]] = 0.0
+            vectors.append(one)
+        return vectors
+
+    def combine(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """The parameter vector that a sum of the `basis` with these weights stands for, within the bounds."""
+        result = np.array(p, dtype=float)
+        amplitudes = [k for k, parameter in enumerate(self.parameters) if parameter.amplitude]
+        result[amplitudes] = result[amplitudes] * np.asarray(weights)
+        return self.bounded(result)
+
+    def bounded(self, p: np.ndarray) -> np.ndarray:
+        """The parameter vector moved inside its bounds."""
+        lower = np.array([parameter.lower for parameter in self.parameters])
+        upper = np.array([parameter.upper for parameter in self.parameters])
+        return np.clip(np.asarray(p, dtype=float), lower, upper)
+
+
+class AbstractForceEffect(AbstractEffect):
+    """A force on the left side of M q̈ + D q̇ + K q + b f = E u, with states of its own where it has memory."""
+
+    states: ClassVar[int] = 0
+
+    @abc.abstractmethod
+    def force(self, p: Float[Array, " parameters"], here: Local, z: Float[Array, " states"]) -> Array:
+        """f at one instant; written so that it takes series over time as well (z then has time last)."""
+
+    def advance(
+        self, p: Float[Array, " parameters"], z: Float[Array, " states"], before: Local, after: Local, time: Array
+    ) -> Float[Array, " states"]:
+        """z after a step of `time` [s] from `before` to `after`, exact for uniform motion (sign frozen)."""
+        return z
+
+
+class AbstractInputEffect(AbstractEffect):
+    """A change of one input on its way to the plant.
+
+    The input over sample k runs from start[k] to end[k] in a straight line (equal under a zero-order hold).
+    """
+
+    @abc.abstractmethod
+    def apply(
+        self,
+        p: Float[Array, " parameters"],
+        start: Float[Array, " samples"],
+        end: Float[Array, " samples"],
+        time: Array,
+    ) -> tuple[Float[Array, " samples"], Float[Array, " samples"]]:
+        """The changed input, given the sampling `time` [s]. Traced, differentiable by p."""
+
+
+class AbstractOutputEffect(AbstractEffect):
+    """A change of one output after the plant."""
+
+    @abc.abstractmethod
+    def apply(
+        self, p: Float[Array, " parameters"], y: Float[Array, " samples"], source: Float[Array, " samples"], time: Array
+    ) -> Float[Array, " samples"]:
+        """The changed output, given the `source` channel (of a crosstalk, else zeros) and the sampling `time` [s]."""
+
+
+class AbstractMatrixEffect(AbstractEffect):
+    """A change of M, D, K themselves, perhaps with one more coordinate: still a linear model.
+
+    `extra`: whether it adds a coordinate (the last row and column of the matrices it returns).
+    """
+
+    extra: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def matrices(
+        self,
+        p: Float[Array, " parameters"],
+        M: Float[Array, "dofs dofs"],
+        D: Float[Array, "dofs dofs"],
+        K: Float[Array, "dofs dofs"],
+        first: Float[Array, " dofs"],
+        second: Float[Array, " dofs"],
+    ) -> tuple[Array, Array, Array]:
+        """The changed matrices; `first` is the arm b of the place (of the first coordinate of a pair), `second` the
+        unit vector of the second coordinate of a pair (else zeros)."""
+
+
+class Place(eqx.Module):
+    """Where an effect acts.
+
+    `name`: as in files; `first`, `second`: indices of coordinate, input or output; `second` is −1 where there is
+    none, and of a crosstalk the source, counted over the outputs first and then the inputs.
+    """
+
+    name: str = eqx.field(static=True)
+    first: int = eqx.field(static=True)
+    second: int = eqx.field(static=True, default=-1)
+
+
+class Term(eqx.Module):
+    """A law at a place with values, as a model carries it."""
+
+    effect: AbstractEffect
+    place: Place
+    values: Float[Array, " parameters"]
+
+    def parameter(self, name: str) -> float:
+        """The value of a parameter by its symbol."""
+        names = [p.name for p in self.effect.parameters]
+        return float(self.values[names.index(name)])
+
+
+def places_of(effect: AbstractEffect, input_names, output_names) -> tuple[Place, ...]:
+    """Every place where an effect can act in a system with these channels, by DESIGN's names."""
+    pairs = [Place(f"{a}-{b}", i, j) for i, a in enumerate(output_names) for j, b in enumerate(output_names) if i < j]
+    single = [Place(name, k) for k, name in enumerate(output_names)]
+    if effect.places == "coordinate":
+        return tuple(single)
+    if effect.places == "spring":
+        return tuple(single + pairs)
+    if effect.places == "pair":
+        return tuple(pairs)
+    if effect.places == "input":
+        return tuple(Place(name, k) for k, name in enumerate(input_names))
+    if effect.places == "output":
+        return tuple(single)
+    sources = list(output_names) + list(input_names)
+    return tuple(
+        Place(f"{source}->{name}", k, s)
+        for k, name in enumerate(output_names)
+        for s, source in enumerate(sources)
+        if s != k
+    )

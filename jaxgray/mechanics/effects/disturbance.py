@@ -1,0 +1,57 @@
+"""Forces that nobody recorded; applied forces, hence negative on the left side."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from .base import AbstractForceEffect, Parameter
+from .structure import step_at
+
+
+class PeriodicDisturbance(AbstractForceEffect):
+    """One line: an unbalance, the mains, a fan."""
+
+    id = "periodic_disturbance"
+    family = "disturbance"
+    law = "applied force A·sin(2π·frequency_hz·t + phase)"
+    parameters = (
+        Parameter("A", (1, 0, 0), lower=0.0, amplitude=True),
+        Parameter("frequency_hz", (0, 0, -1), lower=0.0),
+        Parameter("phase"),
+    )
+    signature = "one line in the spectrum of the residual, incoherent with the input"
+    reference = "Bodson & Douglas, Automatica 33 (1997) 2213-2221"
+    places = "coordinate"
+
+    def shapes(self, scales):
+        return [np.array([1.0, frequency, 0.0]) for frequency in scales.lines_hz]
+
+    def basis(self, p):
+        return [np.array([p[0], p[1], 0.0]), np.array([p[0], p[1], 0.5 * np.pi])]
+
+    def combine(self, p, weights):
+        return self.bounded([p[0] * np.hypot(*weights), p[1], np.arctan2(weights[1], weights[0])])
+
+    def force(self, p, here, z):
+        return -p[0] * jnp.sin(2.0 * jnp.pi * p[1] * here.t + p[2])
+
+
+class ForceStep(AbstractForceEffect):
+    """A constant force from a moment on."""
+
+    id = "force_step"
+    family = "disturbance"
+    law = "applied force F·step(t − t0)"
+    parameters = (
+        Parameter("F", (1, 0, 0), amplitude=True),
+        Parameter("t0", (0, 0, 1), lower=0.0),
+        Parameter("width", (0, 0, 1), lower=0.0, counts=False),
+    )
+    signature = "ring-down, then a shifted mean"
+    reference = "Basseville & Nikiforov, Detection of Abrupt Changes, Prentice Hall 1993"
+    places = "coordinate"
+
+    def shapes(self, scales):
+        return [np.array([1.0, t0, scales.sampling_time]) for t0 in scales.times]
+
+    def force(self, p, here, z):
+        return -p[0] * step_at(here.t, p[1], p[2])

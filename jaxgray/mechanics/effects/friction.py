@@ -1,0 +1,233 @@
+"""Forces against the velocity that a constant damping matrix lacks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .base import AbstractForceEffect, Parameter
+
+SLOWEST = 1e-100
+"""Least velocity that is divided by, so that no value of a parameter makes a NaN."""
+
+WIDTH = 0.005
+"""Velocity over which the sign turns, as a share of the typical velocity."""
+
+_NEWTON_STEPS = 8
+
+_FORCE = Parameter("Fc", (1, 0, 0), lower=0.0, amplitude=True)
+_EPS = Parameter("eps", (0, 1, -1), lower=0.0, counts=False)
+
+
+def ratio(v, width):
+    """v/width, limited to ±40 so that neither exp nor its derivative overflows."""
+    return jnp.clip(v / jnp.maximum(width, SLOWEST), -40.0, 40.0)
+
+
+def direction(here, force, eps):
+    """Sign of the velocity, turning over ± `eps`: tanh(v/eps); in a simulation its mean over the step.
+
+    While the velocity runs in a straight line from v0 to v1 the mean is
+
+        s = (eps/(v1 − v0)) ln(cosh(v1/eps)/cosh(v0/eps)),        v1 = free − y·force·s,
+
+    y being the velocity that a unit force takes back in a step. The solution neither overshoots a reversal nor
+    creeps through a rest. It is found by bracketed Newton steps; its derivative is that of one more step.
+    """
+    if here.behind is None:
+        return jnp.tanh(ratio(here.v, eps))
+    width = jnp.maximum(eps, SLOWEST)
+    first, free = here.behind / width, here.ahead / width
+    stiff = here.yielding * jnp.maximum(force, 0.0) / width
+
+    def step(s, first, free, stiff):
+        mean, slope = _mean_sign(first, free - stiff * s)
+        return s - (s - mean) / (1.0 + jax.lax.stop_gradient(stiff * slope)), mean
+
+    fixed = [jax.lax.stop_gradient(x) for x in (first, free, stiff)]
+    low, high = -jnp.ones_like(free), jnp.ones_like(free)
+    s = jnp.clip(fixed[1] / (1.0 + fixed[2]), -1.0, 1.0)
+    for _ in range(_NEWTON_STEPS):
+        new, mean = step(s, *fixed)
+        low, high = jnp.where(s < mean, s, low), jnp.where(s < mean, high, s)
+        s = jnp.where((new > low) & (new < high), new, (low + high) / 2)
+    return step(s, first, free, stiff)[0]
+
+
+def _mean_sign(a, b):
+    """Mean of tanh over [a, b], and its derivative by b."""
+    near = jnp.abs(b - a) < 1e-3
+    distance = jnp.where(near, 1.0, b - a)
+    middle = jnp.tanh((a + b) / 2)
+    far = (_log_cosh(b) - _log_cosh(a)) / distance
+    slope = jnp.where(near, (1.0 - middle**2) / 2, (jnp.tanh(b) - far) / distance)
+    return jnp.where(near, middle, far), jnp.maximum(slope, 0.0)
+
+
+def _log_cosh(x):
+    size = jnp.abs(x)
+    return size + jnp.log1p(jnp.exp(-2.0 * size))
+
+
+class CoulombFriction(AbstractForceEffect):
+    """Dry friction: constant, against the velocity."""
+
+    id = "coulomb_friction"
+    family = "friction"
+    law = "f = Fc·tanh(v/eps), eps fixed"
+    parameters = (_FORCE, _EPS)
+    parity = "odd"
+    signature = "square wave in phase with the velocity"
+    reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
+    places = "spring"
+
+    def shapes(self, scales):
+        return [np.array([1.0, WIDTH * scales.v])]
+
+    def force(self, p, here, z):
+        return p[0] * direction(here, p[0], p[1])
+
+
+class StribeckFriction(AbstractForceEffect):
+    """Dry friction with another value near rest."""
+
+    id = "stribeck_friction"
+    family = "friction"
+    law = "f = (Fc + (Fs − Fc)·exp(−(v/vs)²))·tanh(v/eps), eps fixed"
+    parameters = (
+        _FORCE,
+        Parameter("Fs", (1, 0, 0), lower=0.0, amplitude=True),
+        Parameter("vs", (0, 1, -1), lower=0.0),
+        _EPS,
+    )
+    parity = "odd"
+    signature = "friction that changes at low speed"
+    reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138, §2.1"
+    places = "spring"
+
+    def shapes(self, scales):
+        return [np.array([1.0, 1.0, part * scales.v, WIDTH * scales.v]) for part in (0.1, 0.3, 1.0)]
+
+    def force(self, p, here, z):
+        near_rest = jnp.exp(-(ratio(here.v, p[2]) ** 2))
+        size = p[0] * (1.0 - near_rest) + p[1] * near_rest
+        return size * direction(here, size, p[3])
+
+
+class AsymmetricFriction(AbstractForceEffect):
+    """Dry friction with viscous friction that differs by direction: c_a more forward, c_a less backward."""
+
+    id = "asymmetric_friction"
+    family = "friction"
+    law = "f = Fc·tanh(v/eps) + c_a·|v|, eps fixed"
+    parameters = (_FORCE, Parameter("c_a", (1, -1, 1), amplitude=True), _EPS)
+    signature = "even harmonics in quadrature with the displacement"
+    reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
+    places = "spring"
+
+    def shapes(self, scales):
+        return [np.array([1.0, 1.0, WIDTH * scales.v])]
+
+    def force(self, p, here, z):
+        return p[0] * direction(here, p[0], p[2]) + p[1] * jnp.abs(here.v)
+
+
+class QuadraticDrag(AbstractForceEffect):
+    """Drag of a turbulent fluid, of an orifice."""
+
+    id = "quadratic_drag"
+    family = "friction"
+    law = "f = c2·v·|v|"
+    parameters = (Parameter("c2", (1, -2, 2), lower=0.0, amplitude=True),)
+    parity = "odd"
+    signature = "damping rises with amplitude"
+    reference = "Morison, O'Brien, Johnson & Schaaf, J. Petrol. Technol. 2 (1950) 149-154"
+    places = "spring"
+
+    def shapes(self, scales):
+        return [np.array([1.0])]
+
+    def force(self, p, here, z):
+        return p[0] * here.v * jnp.abs(here.v)
+
+
+class PositionDependentFriction(AbstractForceEffect):
+    """Dry friction that changes along the path.
+
+    Its amplitudes are Fc and Fc·a, not Fc and a: hence a basis of its own.
+    """
+
+    id = "position_dependent_friction"
+    family = "friction"
+    law = "f = Fc·(1 + a·q)·tanh(v/eps), eps fixed"
+    parameters = (_FORCE, Parameter("a", (0, -1, 0), amplitude=True), _EPS)
+    signature = "size of the friction varies with the position"
+    reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
+    places = "spring"
+
+    def shapes(self, scales):
+        return [np.array([1.0, 1.0 / max(scales.q, SLOWEST), WIDTH * scales.v])]
+
+    def basis(self, p):
+        return [np.array([p[0], 0.0, p[2]]), np.array(p, dtype=float)]
+
+    def combine(self, p, weights):
+        total = weights[0] + weights[1]
+        slope = p[1] * weights[1] / total if total > 0.0 else 0.0
+        return self.bounded([p[0] * total, slope, p[2]])
+
+    def force(self, p, here, z):
+        size = p[0] * (1.0 + p[1] * here.q)
+        return size * direction(here, size, p[2])
+
+
+class FractionalDamping(AbstractForceEffect):
+    """Structural damping: a fractional derivative of the displacement, between spring and damper.
+
+    s^alpha·q = s^(alpha−1)·v is a sum of first-order states driven by the velocity, from
+
+        s^(alpha−1) = (sin(pi·alpha)/pi) ∫ x^alpha/(s + x) d(ln x)
+
+    by the trapezoidal rule with step d in ln x. The nodes below the lowest rate act as a spring, those above the
+    highest as a damper: two geometric series in closed form, so that the rule is that of the whole axis, whose
+    relative error is 2·sin(pi·alpha)·exp(−pi²/d).
+    """
+
+    id = "fractional_damping"
+    family = "friction"
+    law = "f = eta·s^alpha q, eta in force·time^alpha/length"
+    parameters = (
+        Parameter("eta", (1, -1, 0), lower=0.0, amplitude=True),
+        Parameter("alpha", lower=0.05, upper=0.95),
+        Parameter("slowest", (0, 0, -1), lower=0.0, counts=False),
+        Parameter("fastest", (0, 0, -1), lower=0.0, counts=False),
+    )
+    parity = "odd"
+    signature = "linear, damping wrong over frequency, odd and even lines clean"
+    reference = "Diethelm, The Analysis of Fractional Differential Equations, Springer 2010"
+    places = "spring"
+    states = 8
+
+    def shapes(self, scales):
+        slowest, fastest = 0.5 / scales.duration, 0.5 * np.pi / scales.sampling_time
+        return [np.array([1.0, alpha, slowest, fastest]) for alpha in (0.2, 0.4, 0.6, 0.8)]
+
+    def _rates(self, p):
+        """The rates x of the states [1/s] and the step of ln x."""
+        lowest, highest = jnp.log(jnp.maximum(p[2], 1e-12)), jnp.log(jnp.maximum(p[3], 1e-12))
+        step = jnp.maximum(highest - lowest, 1e-3) / (self.states - 1)
+        return jnp.exp(lowest + step * jnp.arange(self.states)), step
+
+    def force(self, p, here, z):
+        rates, step = self._rates(p)
+        alpha = jnp.clip(p[1], 1e-3, 1.0 - 1e-3)
+        weights = rates**alpha
+        spring = weights[0] / jnp.expm1(alpha * step)
+        damper = weights[-1] / rates[-1] / jnp.expm1((1.0 - alpha) * step)
+        total = jnp.tensordot(weights, z, 1) + spring * here.q + damper * here.v
+        return p[0] * jnp.sin(jnp.pi * alpha) / jnp.pi * step * total
+
+    def advance(self, p, z, before, after, time):
+        rates, _ = self._rates(p)
+        speed = (after.q - before.q) / time
+        # −expm1 keeps the gain of slow states, for which 1 − exp cancels.
+        return jnp.exp(-rates * time) * z - jnp.expm1(-rates * time) / rates * speed

@@ -1,0 +1,167 @@
+"""What happens to an output between the motion of the plant and the record.
+
+In the units of these parameters "length" stands for the unit of the output. Before the record the output has its
+first value.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...numerics.lifting import respond
+from .actuator import SAMPLES, lag_step
+from .base import AbstractOutputEffect, Parameter
+
+
+def _times(y, time):
+    return jnp.arange(y.shape[0]) * time
+
+
+def interpolated(y, position):
+    """A series at real sample numbers, by cubic Hermite (Catmull-Rom) pieces, constant beyond its ends."""
+    samples = y.shape[0]
+    position = jnp.clip(position, -2.0, samples + 1.0)
+    whole = jnp.floor(position)
+    s = position - whole
+    k = whole.astype(int)
+    y0, y1, y2, y3 = (y[jnp.clip(k + shift, 0, samples - 1)] for shift in (-1, 0, 1, 2))
+    slope, bend, twist = y2 - y0, 2.0 * y0 - 5.0 * y1 + 4.0 * y2 - y3, 3.0 * (y1 - y2) + y3 - y0
+    return y1 + 0.5 * s * (slope + s * (bend + s * twist))
+
+
+class SensorOffset(AbstractOutputEffect):
+    """Wrong zero."""
+
+    id = "sensor_offset"
+    family = "sensor"
+    law = "y + b"
+    parameters = (Parameter("b", (0, 1, 0), amplitude=True),)
+    parity = "even"
+    signature = "mean of the residual, not filtered by the plant"
+    reference = "Doebelin, Measurement Systems, 5th ed., McGraw-Hill 2003"
+    places = "output"
+
+    def shapes(self, scales):
+        return [np.array([1.0])]
+
+    def apply(self, p, y, source, time):
+        return y + p[0]
+
+
+class SensorDrift(AbstractOutputEffect):
+    """Zero that wanders from the start of the record."""
+
+    id = "sensor_drift"
+    family = "sensor"
+    law = "y + b1·t + b2·t²"
+    parameters = (Parameter("b1", (0, 1, -1), amplitude=True), Parameter("b2", (0, 1, -2), amplitude=True))
+    signature = "low frequencies, not filtered by the plant"
+    reference = "Doebelin, Measurement Systems, 5th ed., McGraw-Hill 2003"
+    places = "output"
+
+    def shapes(self, scales):
+        return [np.array([1.0, 1.0])]
+
+    def apply(self, p, y, source, time):
+        t = _times(y, time)
+        return y + (p[0] + p[1] * t) * t
+
+
+class SensorDelay(AbstractOutputEffect):
+    """The output is recorded late."""
+
+    id = "sensor_delay"
+    family = "sensor"
+    law = "y(t − tau)"
+    parameters = (Parameter("tau", (0, 0, 1), lower=0.0, amplitude=True),)
+    parity = "odd"
+    signature = "skew between channels"
+    reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
+    places = "output"
+
+    def shapes(self, scales):
+        return [np.array([count * scales.sampling_time]) for count in SAMPLES]
+
+    def apply(self, p, y, source, time):
+        return interpolated(y, jnp.arange(y.shape[0]) - p[0] / time)
+
+
+class SensorLag(AbstractOutputEffect):
+    """First-order filter of the sensor or its amplifier, exact for an output straight between samples."""
+
+    id = "sensor_lag"
+    family = "sensor"
+    law = "tau·ẏ_m + y_m = y"
+    parameters = (Parameter("tau", (0, 0, 1), lower=0.0, amplitude=True),)
+    parity = "odd"
+    signature = "delay with a gain that drops over frequency, of one output only"
+    reference = "Doebelin, Measurement Systems, 5th ed., McGraw-Hill 2003"
+    places = "output"
+
+    def shapes(self, scales):
+        return [np.array([count * scales.sampling_time]) for count in SAMPLES]
+
+    def apply(self, p, y, source, time):
+        A, B = lag_step(p[0] / time)
+        rise = jnp.concatenate([jnp.diff(y), jnp.zeros_like(y[:1])])
+        one, none = jnp.ones((1, 1), dtype=y.dtype), jnp.zeros((1, 2), dtype=y.dtype)
+        return respond(A, B, one, none, jnp.stack([y, rise], axis=1), y[:1])[:, 0]
+
+
+class SensorCrosstalk(AbstractOutputEffect):
+    """Another output, or an input, leaks into this one."""
+
+    id = "sensor_crosstalk"
+    family = "sensor"
+    law = "y + a·source; of an input, a in units of the output per unit of the input"
+    parameters = (Parameter("a", amplitude=True),)
+    parity = "odd"
+    signature = "residual is a copy of another channel, without dynamics"
+    reference = "Doebelin, Measurement Systems, 5th ed., McGraw-Hill 2003"
+    places = "cross"
+
+    def shapes(self, scales):
+        return [np.array([1.0])]
+
+    def apply(self, p, y, source, time):
+        return y + p[0] * source
+
+
+class SensorNonlinearity(AbstractOutputEffect):
+    """Curved characteristic of the sensor."""
+
+    id = "sensor_nonlinearity"
+    family = "sensor"
+    law = "y + a·y² (square), y + a·y³ (cube, a per length²) or y + a·|y| (abs, a without unit)"
+    parameters = (
+        Parameter("a", (0, -1, 0), amplitude=True),
+        Parameter("form", lower=0.0, upper=2.0, counts=False, choices=("square", "cube", "abs")),
+    )
+    signature = "harmonics not filtered by the plant"
+    reference = "Tao & Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, Wiley 1996"
+    places = "output"
+
+    def shapes(self, scales):
+        return [np.array([1.0, form]) for form in (0.0, 1.0, 2.0)]
+
+    def apply(self, p, y, source, time):
+        curved = jnp.where(p[1] < 0.5, y**2, jnp.where(p[1] < 1.5, y**3, jnp.abs(y)))
+        return y + p[0] * curved
+
+
+class ClockScale(AbstractOutputEffect):
+    """The clock of the output runs at another rate: a delay that grows in proportion to time."""
+
+    id = "clock_scale"
+    family = "sensor"
+    law = "y at t·(1 + eps)"
+    parameters = (Parameter("eps", lower=-0.1, upper=0.1, amplitude=True),)
+    parity = "odd"
+    signature = "residual like the velocity, growing over the record"
+    reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
+    places = "output"
+
+    def shapes(self, scales):
+        return [np.array([0.2 * scales.sampling_time / scales.duration])]
+
+    def apply(self, p, y, source, time):
+        return interpolated(y, jnp.arange(y.shape[0]) * (1.0 + p[0]))

@@ -1,0 +1,32 @@
+"""Numbers as a person reads them."""
+
+import math
+
+
+def plus_minus(value: float | None, error: float | None = None, *, digits: int = 2) -> str:
+    """A value ± one standard error, the value to the same place as the error.
+
+    An error of zero belongs to a value that was given, not estimated.
+
+    **Arguments:** `value`; `error`: default none; `digits` of the error, default 2.
+
+    **Returns:** the text, a dash where there is no value.
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    if error is None or not math.isfinite(error):
+        return f"{value:.5g}"
+    if error == 0:
+        return f"{value:.5g} (fixed)"
+    size = max(abs(value), error)
+    exponent = math.floor(math.log10(size))
+    power = exponent if exponent < -3 or exponent > 5 else 0
+    decimals = max(0, digits - 1 - math.floor(math.log10(error)) + power)
+    text = f"{value / 10**power:.{decimals}f} ± {error / 10**power:.{decimals}f}"
+    return f"({text})e{power:+03d}" if power else text
+
+
+def listed(words, last: str = "and") -> str:
+    """Words with commas, and `last` before the last one."""
+    words = list(words)
+    return ", ".join(words[:-1]) + f" {last} {words[-1]}" if len(words) > 1 else "".join(words)
