@@ -193,9 +193,9 @@ def refine(
 ) -> Refinement:
     """Refine M, D, K by prediction error, maximum likelihood over the outputs.
 
-    **Arguments:** `start`: scaled M, D, K; `batch`; `setting`; `structure`: what is free, default all; `offset`: estimate an
-    output offset of every record; `innovations`: noise enters at the forces too; `fixed`: entries of the stacked
-    block vectors that keep their start value; `deviation`: mean square residual of the start per output, to
+    **Arguments:** `start`: scaled M, D, K; `batch`; `setting`; `structure`: what is free, default all; `offset`:
+    estimate an output offset of every record; `innovations`: noise enters at the forces too; `fixed`: entries of the
+    stacked block vectors that keep their start value; `deviation`: mean square residual of the start per output, to
     weigh with at first; `rounds`: how often the weights are renewed before the conic iteration (which renews
     them at every step).
 

@@ -245,8 +245,8 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
     if not found.fits:
         result.append(
             f"M, D, K of {model.dofs} coordinates do not fit: another linear model "
-            f"explains {found.explained_percent:.1f} % more of the residual (p = {found.p_value:.1e}). More coordinates, a delay, "
-            "or another input map may be needed."
+            f"explains {found.explained_percent:.1f} % more of the residual (p = {found.p_value:.1e}). "
+            "More coordinates, a delay, or another input map may be needed."
         )
     if not tests.white and refinement.nuisance.noise is None:
         result.append(
