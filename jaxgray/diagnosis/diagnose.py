@@ -4,7 +4,7 @@ import difflib
 
 import numpy as np
 
-from ..identification import Identification, identify
+from ..identification import Identification
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..mechanics.model import MechanicalModel
@@ -32,6 +32,7 @@ from .record_findings import record_findings
 from .refitting import Bench, explainable_share
 from .response import Simulator
 from .result import Diagnosis, Finding
+from .routes import begin
 
 UNEXPLAINED = 1.05
 """Excess over an independent noise floor from which a silent gate does not mean noise."""
@@ -89,7 +90,10 @@ def diagnose(
 
     identification = None
     if model is None:
-        identification = identify(records, validation=held, progress=progress, **options)
+        identification = begin(records, held, searched, max_effects, seed, progress, options)
+        if isinstance(identification, Diagnosis):
+            # No free run of the linear model is usable: decided on another route.
+            return identification
     else:
         searched = MODEL_ERRORS + searched
     baseline = baseline_of(records, identification, model, None)

@@ -23,6 +23,9 @@ from .response import Simulator
 DECREMENT = 1e-2
 """Stop when a step would lower the sum of squares by less than this, in units of the noise variance."""
 
+SLOW = 0.85
+"""Ratio of a step's sums of squares above which a fit falls slowly."""
+
 _LARGEST = 1e100
 
 
@@ -32,7 +35,7 @@ class Refit:
 
     `candidate`; `residual` e of every record (zero where missing) and `jacobian` J of the simulated outputs by the
     entries, that record's first state, and the values term by term; `covariance` of all parameters; `cost`: sum of
-    squared whitened errors; `count`: output samples that count; `steps`; `converged`.
+    squared whitened errors; `count`: output samples that count; `steps`; `converged`; `started`: `cost` at the start.
     """
 
     candidate: Candidate
@@ -43,6 +46,7 @@ class Refit:
     count: int
     steps: int
     converged: bool
+    started: float = np.inf
 
 
 class Layout:
@@ -61,6 +65,7 @@ class Layout:
         parameters = [candidate.terms[k].effect.parameters[j] for k, j in self.terms]
         self.lower = np.array([p.lower for p in parameters])
         self.upper = np.array([p.upper for p in parameters])
+        self.scales = np.array([p.lower == 0.0 and not p.amplitude for p in parameters], bool)
 
     def widened(self, J: np.ndarray, record: int) -> np.ndarray:
         """The Jacobian of one record with columns for the other records' first states."""
@@ -77,6 +82,34 @@ class Layout:
         """All parameters of a candidate."""
         values = [float(candidate.terms[k].values[j]) for k, j in self.terms]
         return np.concatenate([candidate.entries, *candidate.x0, values])
+
+    def shape_of_last(self, candidate: Candidate) -> np.ndarray:
+        """Which parameters are of the last term and not among its amplitudes."""
+        mask = np.zeros(self.size, bool)
+        for at, (k, j) in enumerate(self.terms):
+            shape = not candidate.terms[k].effect.parameters[j].amplitude
+            mask[self.first + at] = shape and k == len(candidate.terms) - 1
+        return mask
+
+    def limited(self, change: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """A step shortened so that no positive scale (a length, a gap, a time) more than doubles or halves."""
+        now, wanted = theta[self.first :][self.scales], change[self.first :][self.scales]
+        most = np.where(wanted > 0, now, now / 2)
+        moving = (now > 0) & (np.abs(wanted) > most)
+        return change * np.min(most[moving] / np.abs(wanted[moving]), initial=1.0)
+
+    def moved(self, theta: np.ndarray, change: np.ndarray, like: Candidate) -> np.ndarray:
+        """The parameters after a step, along the curve that every effect prefers."""
+        result = theta + change
+        for k, term in enumerate(like.terms):
+            at = [self.first + a for a, (owner, _) in enumerate(self.terms) if owner == k]
+            own = [j for owner, j in self.terms if owner == k]
+            step = np.zeros(len(term.effect.parameters))
+            step[own] = change[at]
+            if np.any(step):
+                moved = term.effect.bounded(term.effect.moved(np.array(term.values, dtype=float), step))
+                result[at] = moved[own]
+        return result
 
     def candidate(self, theta: np.ndarray, like: Candidate) -> Candidate:
         """The candidate that a vector stands for, the rest as in another."""
@@ -198,13 +231,15 @@ def refit(
     max_steps: int = 15,
     tolerance: float = DECREMENT,
     abandon: float = np.inf,
+    shapes_after: int = 0,
 ) -> Refit | None:
     """Refit a candidate with a given whitening chain.
 
     **Arguments:** `simulator`; `candidate` to start from; `data`: the records; `chain`; `held`: parameters that do
     not move (all entries of the user's own model), default those of the setup; `max_steps`; `tolerance`: stop when a
     step would lower the sum of squares by less, in units of the noise variance; `abandon`: sum of squares above
-    which, from the second step on, a fit is given up unless its next step promises to pass below.
+    which, from the second step on, a fit that falls slowly is given up unless its next step promises to pass below;
+    `shapes_after`: steps before the shape of the last term moves, not only its amplitudes.
 
     **Returns:** a `Refit`, or None where the start cannot be simulated.
     """
@@ -212,42 +247,46 @@ def refit(
     layout = Layout(setup, candidate)
     fixed = np.zeros(layout.size, bool)
     fixed[: layout.entries] = setup.held if held is None else held
+    always, still = fixed, fixed | layout.shape_of_last(candidate)
     step = _Step(setup, layout, fixed)
     theta = layout.vector(candidate)
     now = _equations(simulator, candidate, data, chain, layout)
     if now is None:
         return None
-    damping, steps, converged = 0.0, 0, False
+    damping, steps, converged, before, started = 0.0, 0, False, np.inf, now[2]
     while steps < max_steps and damping < 1e6 and not converged:
         steps += 1
+        step.held = fixed = still if steps <= shapes_after else always
         H, g, cost = now[0], now[1], now[2]
         free = np.where(fixed, 0.0, 1.0)
         change = step(theta, H * free[:, None] * free[None, :] + np.diag(fixed * 1.0), g * free, damping)
         if change is None:
             damping = max(10 * damping, 1e-3)
             continue
-        change = np.where(fixed, 0.0, change)
+        change = layout.limited(np.where(fixed, 0.0, change), theta)
         variance = max(cost / max(now[3], 1), 1e-300)
         decrement = -(2 * g @ change + change @ H @ change) / variance
         if decrement < tolerance:
             converged = True
             break
-        if steps > 2 and cost - decrement * variance > abandon:
+        # A fit that still falls fast is further from its end than its next step says.
+        if steps > 2 and cost > SLOW * before and cost - decrement * variance > abandon:
             break
-        trial_candidate = layout.candidate(theta + change, candidate)
+        moved = layout.moved(theta, change, candidate)
+        trial_candidate = layout.candidate(moved, candidate)
         trial = _equations(simulator, trial_candidate, data, chain, layout)
         if trial is None or not trial[2] <= cost:
             converged = decrement < 10 * tolerance
             damping = max(10 * damping, 1e-3)
             continue
-        theta, candidate, now = theta + change, trial_candidate, trial
+        theta, candidate, now, before = moved, trial_candidate, trial, cost
         damping = damping / 10 if damping > 1e-5 else 0.0
     H, _, cost, count, residuals, jacobians = now
     variance = cost / max(count - layout.size, 1)
-    moving = ~fixed
+    moving = ~always
     covariance = np.zeros_like(H)
     covariance[np.ix_(moving, moving)] = pseudo_inverse(H[np.ix_(moving, moving)]) * variance
-    return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged)
+    return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started)
 
 
 def _equations(simulator, candidate, data, chain, layout):

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mechanics.effects.base import AbstractEffect, Scales, Term
+from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect, Scales, Term
 from ..mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ..mechanics.extended import arm_of
 from ..numerics.progress import AbstractProgress
 from .competitor import FlexibleForce
-from .extension import Refit, refit, with_states
+from .extension import Refit, refit, weighted, with_states
 from .judgement import ACCEPTED, evidence, free_run, overall
 from .problem import Data
 from .residual import Chain, estimate_chain
@@ -22,24 +22,33 @@ from .stage import Stage, rows_of, sampled_plant
 TRIED = 4
 """Candidates that are refitted in a round."""
 
-HOPELESS = 60.0
-"""Distance in criterion from the best first refit beyond which a candidate is not pursued."""
+HOPELESS = 100.0
+"""Distance in criterion from the best first refit beyond which a candidate is not pursued; its refit is given up at
+twice this."""
 
 ROUGH = 0.3
 """Decrement, in units of the noise variance, at which a first refit is good enough to compare."""
 
-MOST_STEPS = 8
-"""Steps per sample up to which a discontinuous force is followed."""
+LITTLE = 0.05
+"""Share of the size that linear responses call for, to start from where the whole is worse than nothing."""
+
+MOST_STEPS = 16
+"""Steps per sample up to which a force is followed."""
+
+TOLERABLE = 0.1
+"""Error of the steps, relative to the noise, that is never left."""
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """A candidate refitted: its `score`, `fit` and own `chain`; `criterion`, `delta_bic` under the best one's chain."""
+    """A candidate refitted: its `score`, `fit` and own `chain`; `criterion` with its `penalty`, and `delta_bic`, under
+    the best one's chain."""
 
     score: Score
     fit: Refit
     chain: Chain
     criterion: float = np.inf
+    penalty: float = 0.0
     delta_bic: float = -np.inf
 
     @property
@@ -131,7 +140,8 @@ def attempts_of(
             rejected.append(Rejected(*name, score.delta_bic, why))
             continue
         again = refit(bench.simulator, fit.candidate, bench.data, chain_of(bench, fit), held=bench.held, max_steps=10)
-        fit = sharpened(bench, fit if again is None else again)
+        fit = along_the_valley(bench, fit if again is None else again)
+        fit = sharpened(bench, fit)
         fit = with_states(bench.simulator, fit, bench.data)
         attempt = by_contact(Attempt(score, fit, chain_of(bench, fit)), stage)
         if attempt.name not in attempts or attempt.chain.cost < attempts[attempt.name].chain.cost:
@@ -157,23 +167,65 @@ def by_contact(attempt: Attempt, stage: Stage) -> Attempt:
     return dataclasses.replace(attempt, fit=fit, score=dataclasses.replace(attempt.score, shape=shape))
 
 
-def sharpened(bench: Bench, fit: Refit) -> Refit:
-    """A refit of a model whose last term is friction in shorter steps, where the record calls for them.
+def along_the_valley(bench: Bench, fit: Refit) -> Refit:
+    """A refit that did not come to an end, carried on: the scale of its last term's shape is set to others, all else
+    refitted, as long as that pays. A curved valley is too narrow to follow in straight steps."""
+    places = [
+        j
+        for j, p in enumerate(fit.candidate.terms[-1].effect.parameters)
+        if p.counts and p.lower == 0 and not p.amplitude
+    ]
+    if fit.converged or len(places) != 1:
+        return fit
+    chain, j = chain_of(bench, fit), places[0]
+    options = {"held": bench.held, "max_steps": 8, "shapes_after": 4, "tolerance": ROUGH}
+    here = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=1)
+    if here is None:
+        return fit
+    for factor in (1.5, 1 / 1.5):
+        for _ in range(4):
+            values = np.array(here.candidate.terms[-1].values, dtype=float)
+            values[j] *= factor
+            term = here.candidate.terms[-1]
+            moved = here.candidate.with_terms((*here.candidate.terms[:-1], Term(term.effect, term.place, values)))
+            trial = refit(bench.simulator, moved, bench.data, chain, **options)
+            if trial is None or not trial.cost < here.cost:
+                break
+            here = trial
+    return here
 
-    The sign of a velocity changes within a step; how well that is followed decides how much of friction is left.
+
+def sharpened(bench: Bench, fit: Refit) -> Refit:
+    """A refit in shorter steps of its added forces, where the error of the steps could be told from noise.
+
     The simulator keeps the shorter steps.
     """
-    names = [p.name for p in fit.candidate.terms[-1].effect.parameters]
-    steps = bench.simulator.substeps
-    if "eps" not in names or steps >= MOST_STEPS:
+    simulator, steps = bench.simulator, bench.simulator.substeps
+    error = integration_error(bench, fit)
+    rows = rows_of(bench.data[0])
+    if error**2 * rows < 1.0 or steps >= MOST_STEPS:
         return fit
     chain = chain_of(bench, fit)
-    bench.simulator.substeps = MOST_STEPS
-    trial = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=10)
-    if trial is not None and chain_of(bench, trial).cost < chain.cost - 2.0:
+    simulator.substeps = min(MOST_STEPS, steps * 2 ** int(np.ceil(np.log2(2 * error * np.sqrt(rows)))))
+    trial = refit(simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=10)
+    if trial is not None and (error > TOLERABLE or chain_of(bench, trial).cost < chain.cost - 2.0):
         return trial
-    bench.simulator.substeps = steps
+    simulator.substeps = steps
     return fit
+
+
+def integration_error(bench: Bench, fit: Refit) -> float:
+    """How far the free run on the first record moves with steps half as long, relative to what the fit leaves: root
+    mean square over the outputs."""
+    if not any(isinstance(term.effect, AbstractForceEffect) for term in fit.candidate.terms):
+        return 0.0
+    data, simulator, steps = bench.data[0], bench.simulator, bench.simulator.substeps
+    simulator.substeps = 2 * steps
+    finer = simulator.run(fit.candidate, data)
+    simulator.substeps = steps
+    change = np.where(data.kept, data.y - fit.residual[0] - finer, 0.0)
+    level = np.maximum(np.sum(fit.residual[0] ** 2, axis=0), 1e-300)
+    return float(np.sqrt(np.mean(np.sum(change**2, axis=0) / level)))
 
 
 def _penalty(bench: Bench, score: Score) -> float:
@@ -183,8 +235,10 @@ def _penalty(bench: Bench, score: Score) -> float:
 def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: float) -> Refit | None:
     """Refit the model with one more term under a given chain; given up early where it is far behind the best."""
     fit = None
+    here = np.where(bench.data[0].kept[:, :, None], stage.e[:, :, None], 0.0)
+    nothing = float(np.sum(weighted(chain, here, bench.data[0].kept) ** 2))
     with np.errstate(over="ignore"):
-        abandon = np.exp((best + HOPELESS - _penalty(bench, score)) / rows_of(bench.data[0]))
+        abandon = np.exp((best + 2 * HOPELESS - _penalty(bench, score)) / rows_of(bench.data[0]))
     for term in softened(score.shape.term(score.weights), score.shape.scales):
         if fit is not None:
             if fit.count * np.log(max(fit.cost, 1e-300)) > best + 10 * HOPELESS:
@@ -196,19 +250,24 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
             term = Term(term.effect, term.place, values)
         begin = stage.candidate if fit is None else fit.candidate
         terms = (*stage.candidate.terms, term) if fit is None else (*fit.candidate.terms[:-1], term)
-        fit = refit(
-            bench.simulator,
-            begin.with_terms(terms),
-            bench.data,
-            chain,
-            held=bench.held,
-            max_steps=10,
-            tolerance=ROUGH,
-            abandon=abandon,
-        )
+        options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
+        begun = refit(bench.simulator, begin.with_terms(terms), bench.data, chain, **options)
+        if fit is None and (begun is None or begun.started > nothing):
+            # The linear model took so much of the effect upon itself that all must move together, from little.
+            little = score.shape.term(LITTLE * score.weights)
+            little = Term(term.effect, term.place, np.where(_amplitudes(term), little.values, term.values))
+            terms = (*stage.candidate.terms, little)
+            again = refit(bench.simulator, begin.with_terms(terms), bench.data, chain, shapes_after=2, **options)
+            if begun is None or (again is not None and again.cost < begun.cost):
+                begun = again
+        fit = begun
         if fit is None:
             return None
     return fit
+
+
+def _amplitudes(term: Term) -> np.ndarray:
+    return np.array([parameter.amplitude for parameter in term.effect.parameters])
 
 
 def softened(term: Term, scales: Scales) -> list[Term]:
@@ -247,10 +306,10 @@ def compared(bench: Bench, stage: Stage, attempts: list[Attempt]) -> list[Attemp
     result = []
     for a in attempts:
         cost, _ = evidence(moving(bench, a.fit), data[:1], chain)
-        criterion = rows * np.log(max(cost, 1e-300)) + _penalty(bench, a.score)
-        result.append(
-            dataclasses.replace(a, criterion=float(criterion), delta_bic=float(rows * np.log(base) - criterion))
-        )
+        penalty = _penalty(bench, a.score)
+        criterion = rows * np.log(max(cost, 1e-300)) + penalty
+        delta = rows * np.log(base) - criterion
+        result.append(dataclasses.replace(a, criterion=float(criterion), penalty=penalty, delta_bic=float(delta)))
     return sorted(result, key=lambda a: a.criterion)
 
 

@@ -206,7 +206,8 @@ class Simulator:
         return np.asarray(q), np.asarray(v)
 
     def _steps(self, slots):
-        return 1 if slots is None else self.substeps
+        # As an array, so that any number above one is compiled once.
+        return 1 if slots is None or self.substeps == 1 else jnp.asarray(self.substeps)
 
     def _parts(self, candidate, data, record):
         plant, dplant = self._plant(candidate)

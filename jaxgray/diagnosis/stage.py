@@ -113,12 +113,13 @@ def look_closer(
     data: Data,
     catalogue: tuple[AbstractEffect, ...],
     names: tuple[tuple[str, ...], tuple[str, ...]],
-    chain: Chain,
+    chain: Chain | None = None,
 ) -> Screening:
-    """The ranking: candidates with features from the measured motion, smoothed."""
+    """The ranking: candidates with features from the measured motion, smoothed; the chain is begun anew without one."""
     motion = measured_motion(stage, data)
     made = _features(stage, motion, data, catalogue, names)
-    return screen(stage.e, stage.J, data, made, stage.system, stage.force, chain, rounds=1)
+    begun, rounds = (white_chain(stage.e, data.kept, stage.system), 3) if chain is None else (chain, 1)
+    return screen(stage.e, stage.J, data, made, stage.system, stage.force, begun, rounds=rounds)
 
 
 def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Features:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics.lifting import respond
-from .drives import ORDER, AbstractDrive, Force
+from .drives import AbstractDrive, Force
 from .effects.base import (
     AbstractForceEffect,
     AbstractInputEffect,
@@ -25,6 +25,7 @@ from .effects.base import (
     Term,
 )
 from .statespace import hold_matrices
+from .step_rows import Plant, StepRows, local_rows
 
 
 class Slots(eqx.Module):
@@ -38,19 +39,6 @@ class Slots(eqx.Module):
     arms: Float[Array, "slots dofs"]
     channel: Array
     values: Float[Array, "slots parameters"]
-
-
-class Plant(eqx.Module):
-    """What a simulation needs of the linear part: matrices, drive, and what is measured.
-
-    `mass`, `damping`, `stiffness` need not be symmetric (gyroscopic and circulatory terms).
-    """
-
-    mass: Float[Array, "dofs dofs"]
-    damping: Float[Array, "dofs dofs"]
-    stiffness: Float[Array, "dofs dofs"]
-    drive: AbstractDrive
-    measured: tuple[str, ...] = eqx.field(static=True)
 
 
 def with_coordinates(drive: AbstractDrive, dofs: int) -> AbstractDrive:
@@ -103,7 +91,7 @@ def plant_run(
     *,
     laws: tuple[AbstractForceEffect, ...] = (),
     scheduling: Float[Array, " samples"] | None = None,
-    substeps: int = 1,
+    substeps: int | Array = 1,
 ) -> Float[Array, "samples outputs"]:
     """Outputs of the plant with forces added.
 
@@ -167,85 +155,81 @@ def trajectory(
     *,
     laws: tuple[AbstractForceEffect, ...],
     scheduling: Float[Array, " samples"] | None = None,
-    substeps: int = 1,
+    substeps: int | Array = 1,
 ) -> tuple[Float[Array, "samples states"], Float[Array, "samples slots"]]:
-    """States (q, T q̇), T the time of one step, and added forces at every sample; arguments as for `plant_run`."""
-    M, D, K = plant.mass, plant.damping, plant.stiffness
-    h = sampling_time / substeps
-    system = plant.drive.state_space(M, D, K, plant.measured, h)
-    state = _first_state(plant, x0, start[0], h)
-    samples = start.shape[0]
-    t = jnp.arange(samples * substeps) * h
-    p = jnp.zeros(samples) if scheduling is None else scheduling
-    if substeps > 1:
-        start, end, p = _refined(start, end, p, substeps)
+    """States (q, T q̇), T the time of one step, and added forces at every sample.
+
+    **Arguments:** as for `plant_run`; `substeps` may be traced, and is then differentiable forwards only.
+    """
+    samples, count = start.shape[0], slots.arms.shape[0]
+    h, share = sampling_time / substeps, 1.0 / substeps
     memory = max(law.states for law in laws)
     force, advance = _force_switch(laws, memory)
-
-    # The input and every force, held over a step, in one exponential each for the half and the whole step.
-    pushes = -jnp.linalg.solve(M, slots.arms.T) * h**2
-    G = jnp.concatenate([jnp.zeros_like(pushes), pushes])
-    Ad, B0, B1 = hold_matrices(system.A, jnp.concatenate([system.B, G], axis=1), 1.0, "linear")
-    Ah, H0, H1 = hold_matrices(system.A, jnp.concatenate([system.B, G], axis=1), 0.5, "linear")
-    inputs = start.shape[1]
-    whole, half = (B0 + B1)[:, inputs:], (H0 + H1)[:, inputs:]
-    middle = (start + end) / 2
-    drive_whole = start @ B0[:, :inputs].T + end @ B1[:, :inputs].T
-    drive_half = start @ H0[:, :inputs].T + middle @ H1[:, :inputs].T
-
-    C, Du = local_rows(plant, slots.arms, h)
-    compliance = jnp.einsum("si,is->s", slots.arms, jnp.linalg.solve(M, slots.arms.T))
-    reads = slots.channel >= 0
+    rows = StepRows(plant, slots.arms, h)
+    compliance = jnp.einsum("si,is->s", slots.arms, jnp.linalg.solve(plant.mass, slots.arms.T))
+    yielding = -jnp.diag(rows.ending[count : 2 * count])
 
     def read(u):
-        return jnp.where(reads, u[:, jnp.maximum(slots.channel, 0)], 0.0)
+        return jnp.where(slots.channel >= 0, u[:, jnp.maximum(slots.channel, 0)], 0.0)
 
-    feeds = [jnp.einsum("qsi,ni->nqs", Du, u) for u in (start, middle, end)]
-    reading = [read(u) for u in (start, middle, end)]
-    p_next = jnp.concatenate([p[1:], p[-1:]])
-    count = slots.arms.shape[0]
+    p = jnp.zeros(samples) if scheduling is None else scheduling
+    rise = end - start
+    series = (
+        start @ rows.steady.T + share * (rise @ rows.rising.T),
+        rise @ rows.steady.T,
+        jnp.concatenate([read(start), p[:, None]], axis=1),
+        jnp.concatenate([read(rise), jnp.diff(p, append=p[-1:])[:, None]], axis=1),
+        jnp.arange(samples) * sampling_time,
+    )
 
-    def local(s, motion, u, t, p, *within):
-        return Local(motion[0, s], motion[1, s], motion[2, s], compliance[s], u[s], t, p, *within)
+    def step(j, state, now):
+        x, z, first = state
+        base, slope, channels, change, t = now
+        fraction = j * share
+        row = jnp.sum(rows.states * x, axis=1) + base + fraction * slope
+        begin, middle, final, after = rows.split(row)
 
-    # Velocity at every place by the end of a step, per unit of every force.
-    taken = C[1] @ whole
-    yielding = -jnp.diag(taken)
+        def local(s, motion, at, *within):
+            u = channels + (fraction + at * share) * change
+            return Local(
+                *motion[:, s], compliance[s], u[s], t + (fraction + at * share) * sampling_time, u[-1], *within
+            )
 
-    def step(carry, now):
-        x, z = carry
-        (feed0, feed1, feed2), (u0, u1, u2), dw, dh, t, p0, p1 = now
-        motion0 = C @ x + feed0
-        here = [local(s, motion0, u0, t, p0) for s in range(count)]
-        f0 = jnp.stack([force(slots.law[s], slots.values[s], here[s], z[s]) for s in range(count)])
-        motion1 = C @ (Ah @ x + dh + half @ f0) + feed1
-        free = C[1] @ (Ad @ x + dw) + feed2[1] + taken @ f0 + yielding * f0
-        there = [
-            local(s, motion1, u1, t + h / 2, (p0 + p1) / 2, motion0[1, s], free[s], yielding[s]) for s in range(count)
-        ]
-        zh = [advance(slots.law[s], slots.values[s], z[s], here[s], there[s], h / 2) for s in range(count)]
-        f1 = jnp.stack([force(slots.law[s], slots.values[s], there[s], zh[s]) for s in range(count)])
-        new = Ad @ x + dw + whole @ f1
+        def each(function, *arguments):
+            return jnp.stack(
+                [function(slots.law[s], slots.values[s], *(a[s] for a in arguments)) for s in range(count)]
+            )
+
+        here = [local(s, begin, 0.0) for s in range(count)]
+        f0 = each(force, here, z)
+        middle = middle + _by(rows.halfway, f0)
+        free = final[1] + _by(rows.ending, f0)[1] + yielding * f0
+        there = [local(s, middle, 0.5, begin[1, s], free[s], yielding[s]) for s in range(count)]
+        zh = each(lambda k, v, z, a, b: advance(k, v, z, a, b, h / 2), z, here, there) if memory else z
+        f1 = each(force, there, zh)
         if memory:
-            motion2 = C @ new + feed2
-            after = [local(s, motion2, u2, t + h, p1) for s in range(count)]
-            z = jnp.stack([advance(slots.law[s], slots.values[s], z[s], here[s], after[s], h) for s in range(count)])
-        return (new, z), (x, f0)
+            final = final + _by(rows.ending, f1)
+            beyond = [local(s, final, 1.0) for s in range(count)]
+            z = each(lambda k, v, z, a, b: advance(k, v, z, a, b, h), z, here, beyond)
+        return after + jnp.sum(rows.whole * f1, axis=1), z, jnp.where(j == 0, f0, first)
 
-    series = (tuple(feeds), tuple(reading), drive_whole, drive_half, t, p, p_next)
-    _, (x, f) = jax.lax.scan(step, (state, jnp.zeros((count, memory))), series)
-    return x[::substeps], f[::substeps]
+    def sample(state, now):
+        x, z = state
+        begun = (x, z, jnp.zeros(count))
+        one = isinstance(substeps, int) and substeps == 1
+        new, z, f = (
+            step(0, begun, now) if one else jax.lax.fori_loop(0, substeps, lambda j, state: step(j, state, now), begun)
+        )
+        return (new, z), (x, f)
+
+    state = _first_state(plant, x0, start[0], h)
+    _, (x, f) = jax.lax.scan(sample, (state, jnp.zeros((count, memory))), series)
+    return x, f
 
 
-def local_rows(
-    plant: Plant, arms: Float[Array, "slots dofs"], time_unit
-) -> tuple[Float[Array, "quantities slots states"], Float[Array, "quantities slots inputs"]]:
-    """Displacement, velocity and acceleration along some arms from state (q, T q̇) and input, added forces left out."""
-    dofs = plant.mass.shape[0]
-    rows = [
-        plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, (kind,) * dofs, time_unit) for kind in ORDER
-    ]
-    return jnp.stack([arms @ row.C for row in rows]), jnp.stack([arms @ row.D for row in rows])
+def _by(response, f):
+    """Motion (quantities × slots) that forces make."""
+    return jnp.sum(response * f, axis=1).reshape(3, -1)
 
 
 def _direct(plant: Plant, arms: Float[Array, "slots dofs"]) -> Float[Array, "outputs slots"]:
@@ -253,17 +237,6 @@ def _direct(plant: Plant, arms: Float[Array, "slots dofs"]) -> Float[Array, "out
     added = -jnp.linalg.solve(plant.mass, arms.T)
     measured = jnp.asarray([kind == "acceleration" for kind in plant.measured])
     return jnp.where(measured[:, None], added, 0.0)
-
-
-def _refined(start, end, p, substeps):
-    """Series at so many steps per sample: inputs along their lines, the scheduling channel likewise."""
-    fraction = jnp.arange(substeps) / substeps
-    slope = end - start
-    fine_start = (start[:, None] + slope[:, None] * fraction[None, :, None]).reshape(-1, start.shape[1])
-    fine_end = (start[:, None] + slope[:, None] * (fraction[None, :, None] + 1 / substeps)).reshape(-1, start.shape[1])
-    after = jnp.concatenate([p[1:], p[-1:]])
-    fine_p = (p[:, None] + (after - p)[:, None] * fraction).ravel()
-    return fine_start, fine_end, fine_p
 
 
 def held_input(u: Float[Array, "samples inputs"], hold: str) -> tuple[Array, Array]:

@@ -92,7 +92,8 @@ class AbstractEffect(eqx.Module):
     `id`: as in files and messages; `family`: file it belongs to; `parameters`; `parity`: "odd", "even" or "none" of
     the force in (q, v), or of the signal; `signature`: what gives it away, one line; `law`: formula in words;
     `reference`; `places`: where it can act: "coordinate" (one to ground), "spring" (one to ground, or between two),
-    "pair" (between two only), "input", "output", "cross" (source->polluted).
+    "pair" (between two only), "input", "output", "cross" (source->polluted); `contains`: ids of simpler laws that it
+    turns into where its further parameters vanish.
     """
 
     id: ClassVar[str]
@@ -103,6 +104,7 @@ class AbstractEffect(eqx.Module):
     signature: ClassVar[str]
     reference: ClassVar[str]
     places: ClassVar[str]
+    contains: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def shapes(self, scales: Scales) -> list[np.ndarray]:
@@ -129,6 +131,11 @@ class AbstractEffect(eqx.Module):
         amplitudes = [k for k, parameter in enumerate(self.parameters) if parameter.amplitude]
         result[amplitudes] = result[amplitudes] * np.asarray(weights)
         return self.bounded(result)
+
+    def moved(self, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Where a small change of the parameters leads when it grows: straight on, unless another curve keeps the
+        response straighter."""
+        return p + change
 
     def bounded(self, p: np.ndarray) -> np.ndarray:
         """The parameter vector moved inside its bounds."""

@@ -46,6 +46,7 @@ class ForceStep(AbstractForceEffect):
         Parameter("t0", (0, 0, 1), lower=0.0),
         Parameter("width", (0, 0, 1), lower=0.0, counts=False),
     )
+    contains = ("constant_force",)
     signature = "ring-down, then a shifted mean"
     reference = "Basseville & Nikiforov, Detection of Abrupt Changes, Prentice Hall 1993"
     places = "coordinate"

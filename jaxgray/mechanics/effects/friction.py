@@ -12,7 +12,6 @@ SLOWEST = 1e-100
 WIDTH = 0.005
 """Velocity over which the sign turns, as a share of the typical velocity."""
 
-_NEWTON_STEPS = 8
 
 _FORCE = Parameter("Fc", (1, 0, 0), lower=0.0, amplitude=True)
 _EPS = Parameter("eps", (0, 1, -1), lower=0.0, counts=False)
@@ -24,48 +23,63 @@ def ratio(v, width):
 
 
 def direction(here, force, eps):
-    """Sign of the velocity, turning over ± `eps`: tanh(v/eps); in a simulation its mean over the step.
+    """Sign of the velocity, turning over ± `eps`: tanh(v/eps); in a simulation the mean over the step of v/eps
+    limited to ±1.
 
-    While the velocity runs in a straight line from v0 to v1 the mean is
+    While the velocity runs in a straight line from v0 to v1 that mean is, G being the integral of the limited sign,
 
-        s = (eps/(v1 − v0)) ln(cosh(v1/eps)/cosh(v0/eps)),        v1 = free − y·force·s,
+        s = (G(v1) − G(v0))/(v1 − v0),        v1 = free − y·force·s,
 
-    y being the velocity that a unit force takes back in a step. The solution neither overshoots a reversal nor
-    creeps through a rest. It is found by bracketed Newton steps; its derivative is that of one more step.
+    y the velocity that a unit force takes back in a step. The solution, in closed form, neither overshoots a reversal
+    nor creeps through a rest. Its derivative is that of one Newton step.
     """
     if here.behind is None:
         return jnp.tanh(ratio(here.v, eps))
     width = jnp.maximum(eps, SLOWEST)
     first, free = here.behind / width, here.ahead / width
     stiff = here.yielding * jnp.maximum(force, 0.0) / width
+    s = _mean_sign(*_solved(*(jax.lax.stop_gradient(x) for x in (first, free, stiff))))[0]
+    mean, slope = _mean_sign(first, free - stiff * s)
+    return s - (s - mean) / (1.0 + jax.lax.stop_gradient(stiff * slope))
 
-    def step(s, first, free, stiff):
-        mean, slope = _mean_sign(first, free - stiff * s)
-        return s - (s - mean) / (1.0 + jax.lax.stop_gradient(stiff * slope)), mean
 
-    fixed = [jax.lax.stop_gradient(x) for x in (first, free, stiff)]
-    low, high = -jnp.ones_like(free), jnp.ones_like(free)
-    s = jnp.clip(fixed[1] / (1.0 + fixed[2]), -1.0, 1.0)
-    for _ in range(_NEWTON_STEPS):
-        new, mean = step(s, *fixed)
-        low, high = jnp.where(s < mean, s, low), jnp.where(s < mean, high, s)
-        s = jnp.where((new > low) & (new < high), new, (low + high) / 2)
-    return step(s, first, free, stiff)[0]
+def _solved(a, f, k):
+    """Start and end of a step, the end b where f − b = k·(mean sign over [a, b]).
+
+    (f − b)(b − a) = k (G(b) − G(a)) is a quadratic in b above 1, below −1 and between; the mean rises with b, so that
+    the piece with the solution shows at ±1.
+    """
+    Ga = _ramp(a)
+
+    def beyond(b):
+        return f - b - k * _mean_sign(a, jnp.full_like(f, b))[0]
+
+    def root(A, B, C, larger):
+        # A b² + B b + C = 0 without cancellation.
+        q = -(B + jnp.where(B < 0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(B * B - 4 * A * C, 0.0))) / 2
+        one, other = q / A, C / jnp.where(q == 0, 1.0, q)
+        return jnp.where(larger, jnp.maximum(one, other), jnp.minimum(one, other))
+
+    above = jnp.where(a >= 1, f - k, root(1.0, k - f - a, f * a - k * (0.5 + Ga), True))
+    below = jnp.where(a <= -1, f + k, root(1.0, -(f + a + k), f * a - k * (0.5 + Ga), False))
+    across = root(1 + k / 2, -(f + a), f * a - k * Ga, a < 0)
+    within = jnp.where(jnp.abs(a) <= 1, (f - k * a / 2) / (1 + k / 2), across)
+    return a, jnp.where(beyond(1.0) > 0, above, jnp.where(beyond(-1.0) < 0, below, within))
 
 
 def _mean_sign(a, b):
-    """Mean of tanh over [a, b], and its derivative by b."""
+    """Mean of x limited to ±1 over [a, b], and its derivative by b."""
     near = jnp.abs(b - a) < 1e-3
     distance = jnp.where(near, 1.0, b - a)
-    middle = jnp.tanh((a + b) / 2)
-    far = (_log_cosh(b) - _log_cosh(a)) / distance
-    slope = jnp.where(near, (1.0 - middle**2) / 2, (jnp.tanh(b) - far) / distance)
-    return jnp.where(near, middle, far), jnp.maximum(slope, 0.0)
+    sign = jnp.clip(b, -1.0, 1.0)
+    mean = jnp.where(near, jnp.clip((a + b) / 2, -1.0, 1.0), (_ramp(b) - _ramp(a)) / distance)
+    slope = jnp.where(near, (jnp.abs(b) < 1.0) / 2.0, (sign - mean) / distance)
+    return mean, jnp.maximum(slope, 0.0)
 
 
-def _log_cosh(x):
+def _ramp(x):
     size = jnp.abs(x)
-    return size + jnp.log1p(jnp.exp(-2.0 * size))
+    return jnp.where(size < 1.0, x * x / 2, size - 0.5)
 
 
 class CoulombFriction(AbstractForceEffect):
@@ -100,6 +114,7 @@ class StribeckFriction(AbstractForceEffect):
         _EPS,
     )
     parity = "odd"
+    contains = ("coulomb_friction",)
     signature = "friction that changes at low speed"
     reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138, §2.1"
     places = "spring"
@@ -120,6 +135,7 @@ class AsymmetricFriction(AbstractForceEffect):
     family = "friction"
     law = "f = Fc·tanh(v/eps) + c_a·|v|, eps fixed"
     parameters = (_FORCE, Parameter("c_a", (1, -1, 1), amplitude=True), _EPS)
+    contains = ("coulomb_friction",)
     signature = "even harmonics in quadrature with the displacement"
     reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
     places = "spring"
@@ -160,6 +176,7 @@ class PositionDependentFriction(AbstractForceEffect):
     family = "friction"
     law = "f = Fc·(1 + a·q)·tanh(v/eps), eps fixed"
     parameters = (_FORCE, Parameter("a", (0, -1, 0), amplitude=True), _EPS)
+    contains = ("coulomb_friction",)
     signature = "size of the friction varies with the position"
     reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
     places = "spring"
@@ -210,6 +227,17 @@ class FractionalDamping(AbstractForceEffect):
     def shapes(self, scales):
         slowest, fastest = 0.5 / scales.duration, 0.5 * np.pi / scales.sampling_time
         return [np.array([1.0, alpha, slowest, fastest]) for alpha in (0.2, 0.4, 0.6, 0.8)]
+
+    def moved(self, p, change):
+        # Straight in the size at the middle of the rates and in the exponent.
+        middle = np.log(np.sqrt(p[2] * p[3])) if p[2] * p[3] > 0 else 0.0
+        if not p[0] > 0:
+            return p + change
+        new = p + change
+        new[1] = np.clip(new[1], self.parameters[1].lower, self.parameters[1].upper)
+        size = change[0] / p[0] + change[1] * middle
+        new[0] = p[0] * np.exp(np.clip(size - (new[1] - p[1]) * middle, -1.0, 1.0))
+        return new
 
     def _rates(self, p):
         """The rates x of the states [1/s] and the step of ln x."""

@@ -1,0 +1,144 @@
+"""Which way a diagnosis goes: the free run of the linear model, the force equation, or a static gain."""
+
+from typing import Literal
+
+import numpy as np
+
+from ..identification import Identification, identify
+from ..identification.options import drive_of
+from ..mechanics.drives import AbstractDrive, Force
+from ..mechanics.effects.base import AbstractEffect
+from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.progress import AbstractProgress
+from ..records import Record
+from .force_result import force_diagnosis
+from .force_route import search_forces
+from .result import Diagnosis
+from .static_route import static_diagnosis
+
+Route = Literal["free run", "force equation", "static gain"]
+
+ONE_LINE = 1e-3
+"""Share of an input's power off one line below which it is a single sine."""
+
+STRAIGHT = 0.5
+"""Size of the residual of a straight line relative to the motion below which motion follows its input statically."""
+
+UNDETERMINED = 0.5
+"""Relative standard error of a mass from which it is not determined."""
+
+POOR = 30.0
+"""Fit [%] of the free run below which it is of no use."""
+
+USABLE = 80.0
+"""Fit [%] of the free run from which it is of use whatever the standard errors say."""
+
+
+HOPELESS = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
+"""Failures of the linear fit that no other way mends."""
+
+
+def begin(
+    records: list[Record],
+    held: list[Record],
+    catalogue: tuple[AbstractEffect, ...],
+    max_effects: int,
+    seed: int,
+    progress: AbstractProgress,
+    options: dict,
+) -> Identification | Diagnosis:
+    """The linear fit, or the whole diagnosis of records on which its free run is of no use.
+
+    **Arguments:** `records`, `held`; `catalogue`; `max_effects`; `seed`; `progress`; `options`: of `identify`.
+
+    **Returns:** an `Identification` where the free run serves, otherwise a `Diagnosis` by another route.
+
+    **Raises:** as `identify`.
+    """
+    identification = failure = None
+    try:
+        identification = identify(records, validation=held, progress=progress, **options)
+    except ComputationError as error:
+        failure = error
+        if any(error.result == one for one in HOPELESS):
+            raise
+    places = {name: options[name] for name in ("excitation", "input_map", "relative") if name in options}
+    drive = drive_of(records[0], **({"excitation": "force", "input_map": None, "relative": False} | places))
+    rng = np.random.default_rng(seed)
+    route = route_of(records, identification, drive)
+    if route == "static gain":
+        return static_diagnosis(
+            records, held, drive, catalogue, max_effects, identification=identification, rng=rng, progress=progress
+        )
+    if route == "force equation":
+        search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+        return force_diagnosis(search, identification)
+    if failure is not None:
+        raise failure
+    return identification
+
+
+def route_of(records: list[Record], identification: Identification | None, drive: AbstractDrive) -> Route:
+    """The way a diagnosis goes.
+
+    A single sine gives two equations, and M, D, K are three: where the motion follows it statically, a static gain.
+    The force equation, where there is no linear model, where it has no stiffness and its free run drifts, or where its
+    free run is poor or does not determine the masses.
+
+    **Arguments:** `records`; `identification`: the linear fit, None where it failed; `drive`.
+
+    **Returns:** "free run", "force equation" or "static gain".
+    """
+    displacement = all(kind == "displacement" for kind in records[0].measured)
+    if displacement and isinstance(drive, Force) and all(map(is_single_sine, records)) and all(map(is_static, records)):
+        return "static gain"
+    if not isinstance(drive, Force) or "acceleration" in records[0].measured:
+        return "free run"
+    if identification is None:
+        return "force equation"
+    fit = float(np.mean([one.fit_percent for one in identification.estimation]))
+    mass, errors = np.diag(identification.mass), identification.standard_errors
+    undetermined = errors is not None and np.any(np.diag(errors["mass"]) > UNDETERMINED * np.abs(mass))
+    if not np.any(identification.stiffness) and fit < USABLE:
+        return "force equation"
+    if fit < POOR or (undetermined and fit < USABLE):
+        return "force equation"
+    return "free run"
+
+
+def is_single_sine(record: Record) -> bool:
+    """Whether every input that moves is one sine about a mean."""
+    u = record.u - record.u.mean(axis=0)
+    for column in u.T[np.std(u, axis=0) > 0]:
+        power = np.abs(np.fft.rfft(column * np.hanning(len(column)), 4 * len(column))) ** 2
+        # A sine's own width, and its mean that the window lets through, in bins of the padded transform.
+        peak = int(np.argmax(power[12:])) + 12
+        near = _refined(column, peak / (4 * len(column)))
+        if near > ONE_LINE * float(column @ column):
+            return False
+    return bool(np.any(np.std(u, axis=0) > 0))
+
+
+def _refined(x: np.ndarray, frequency: float) -> float:
+    """Least sum of squares that a mean and a sine near a frequency (per sample) leave."""
+    n, least = np.arange(len(x)), np.inf
+    width = 0.5 / len(x)
+    for _ in range(6):
+        for f in frequency + width * np.linspace(-1, 1, 9):
+            table = np.stack([np.ones(len(x)), np.cos(2 * np.pi * f * n), np.sin(2 * np.pi * f * n)], axis=1)
+            e = x - table @ np.linalg.lstsq(table, x, rcond=None)[0]
+            if e @ e < least:
+                least, best = float(e @ e), f
+        frequency, width = best, width / 4
+    return least
+
+
+def is_static(record: Record) -> bool:
+    """Whether a straight line in the inputs leaves less than half of every output's motion."""
+    table = np.concatenate([np.ones((record.samples, 1)), record.u], axis=1)
+    for y in record.y.T:
+        known = np.isfinite(y)
+        e = y[known] - table[known] @ np.linalg.lstsq(table[known], y[known], rcond=None)[0]
+        if not np.std(e) < STRAIGHT * np.std(y[known]):
+            return False
+    return True

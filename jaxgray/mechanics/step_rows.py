@@ -1,0 +1,64 @@
+"""The linear plant, and what one step of its simulation with added forces needs, as rows of a table."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .drives import ORDER, AbstractDrive
+from .statespace import hold_matrices
+
+
+class Plant(eqx.Module):
+    """What a simulation needs of the linear part: matrices, drive, and what is measured.
+
+    `mass`, `damping`, `stiffness` need not be symmetric (gyroscopic and circulatory terms).
+    """
+
+    mass: Float[Array, "dofs dofs"]
+    damping: Float[Array, "dofs dofs"]
+    stiffness: Float[Array, "dofs dofs"]
+    drive: AbstractDrive
+    measured: tuple[str, ...] = eqx.field(static=True)
+
+
+def local_rows(
+    plant: Plant, arms: Float[Array, "slots dofs"], time_unit
+) -> tuple[Float[Array, "quantities slots states"], Float[Array, "quantities slots inputs"]]:
+    """Displacement, velocity and acceleration along some arms from state (q, T q̇) and input, added forces left out."""
+    dofs = plant.mass.shape[0]
+    rows = [
+        plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, (kind,) * dofs, time_unit) for kind in ORDER
+    ]
+    return jnp.stack([arms @ row.C for row in rows]), jnp.stack([arms @ row.D for row in rows])
+
+
+class StepRows:
+    """What one step needs as rows of a table, so that a step is a few products: motion along the arms (displacement,
+    velocity, acceleration) at the beginning, in the middle and at the end of the step, and the new state.
+
+    `states`: by the state; `steady`, `rising`: by an input held, and by its rise over the step; `halfway`, `ending`:
+    motion in the middle and at the end by forces held from the beginning; `whole`: new state by such forces.
+    """
+
+    def __init__(self, plant: Plant, arms: Float[Array, "slots dofs"], h):
+        system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, h)
+        inputs, slots = system.B.shape[1], arms.shape[0]
+        pushes = -jnp.linalg.solve(plant.mass, arms.T) * h**2
+        B = jnp.concatenate([system.B, jnp.concatenate([jnp.zeros_like(pushes), pushes])], axis=1)
+        # The input and every force, held over a step, in one exponential each for the half and the whole step.
+        Ad, B0, B1 = hold_matrices(system.A, B, 1.0, "linear")
+        Ah, H0, H1 = hold_matrices(system.A, B, 0.5, "linear")
+        C, D = (X.reshape(3 * slots, -1) for X in local_rows(plant, arms, h))
+        self.counts = (3 * slots, 6 * slots, 9 * slots)
+        self.states = jnp.concatenate([C, C @ Ah, C @ Ad, Ad])
+        held, half = B0 + B1, H0 + H1
+        self.steady = jnp.concatenate([D, C @ half[:, :inputs] + D, C @ held[:, :inputs] + D, held[:, :inputs]])
+        late, late_half = B1[:, :inputs], H1[:, :inputs] / 2
+        self.rising = jnp.concatenate([jnp.zeros_like(D), C @ late_half + D / 2, C @ late + D, late])
+        self.whole = held[:, inputs:]
+        self.halfway, self.ending = C @ half[:, inputs:], C @ self.whole
+
+    def split(self, row):
+        """Motion at the beginning, in the middle, at the end, each quantities × slots, and the new state."""
+        a, b, c = self.counts
+        return row[:a].reshape(3, -1), row[a:b].reshape(3, -1), row[b:c].reshape(3, -1), row[c:]

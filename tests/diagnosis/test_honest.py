@@ -1,0 +1,92 @@
+"""What is said where nothing is hidden, two things are, the law is not in the catalogue, or the record is spoilt."""
+
+import hidden
+import numpy as np
+import pytest
+from found import (
+    SAMPLES,
+    check_parameter,
+    diagnosed,
+    explains,
+    generator,
+    hidden_case,
+    model_findings,
+    record_findings,
+)
+
+import jaxgray
+
+
+@pytest.mark.parametrize("kind", hidden.NULLS)
+def test_nothing_is_found_where_nothing_is_hidden(kind):
+    diagnosis = diagnosed(hidden.null_case(generator(kind), kind, dofs=(2,), samples=SAMPLES))
+    assert diagnosis.verdict == "noise", str(diagnosis)
+    assert not model_findings(diagnosis)
+    assert ("process_noise" in record_findings(diagnosis)) == (kind == "process")
+    assert diagnosis.not_found and diagnosis.extended is None and diagnosis.gain is None
+
+
+@pytest.mark.parametrize("pair", [("cubic_stiffness", "coulomb_friction"), ("end_stop", "sensor_offset")])
+def test_two_effects_are_both_found(pair):
+    case = hidden.random_pair(generator(*pair), pair=pair, dofs=(2,), samples=SAMPLES, excess=(2.5, 5.0))
+    diagnosis = diagnosed(case)
+    found = model_findings(diagnosis)
+    assert len(found) == 2, str(diagnosis)
+    assert all(any(explains(f, effect) for f in found) for effect in case.effects), str(diagnosis)
+
+
+def test_what_is_not_in_the_catalogue_is_not_given_its_name():
+    case = hidden_case("cubic_stiffness", excess=(3.0, 4.0))
+    stand_ins = ["cubic_stiffness", "sine_stiffness", "end_stop", "dead_zone_stiffness"]
+    diagnosis = diagnosed(case, exclude=stand_ins)
+    assert diagnosis.verdict in ("partly", "unexplained"), str(diagnosis)
+    assert not any(m.effect in stand_ins for f in diagnosis.findings for m in f.members)
+    assert any("displacement" in word for word in diagnosis.depends_on), str(diagnosis)
+
+
+def test_only_what_is_asked_for_is_looked_for():
+    diagnosis = diagnosed(hidden_case("coulomb_friction"), only=["coulomb_friction", "cubic_stiffness"])
+    assert {f.effect for f in model_findings(diagnosis)} == {"coulomb_friction"}
+    assert {n.effect for n in diagnosis.not_found} <= {"coulomb_friction", "cubic_stiffness"}
+
+
+def test_a_wrong_hold_is_found_first():
+    case = hidden_case("intersample_hold")
+    (finding,) = model_findings(diagnosed(case))
+    assert "intersample_hold" in {member.effect for member in finding.members}
+
+
+@pytest.mark.parametrize("entry", ["mass", "stiffness"])
+def test_the_users_own_numbers_are_judged(entry):
+    case = hidden.null_case(generator("own", entry), "white", dofs=(2,), samples=SAMPLES)
+    own = {"mass": case.system.M.copy(), "damping": case.system.D.copy(), "stiffness": case.system.K.copy()}
+    wrong = 0.1 * own[entry][1, 1]
+    own[entry][1, 1] += wrong
+    diagnosis = diagnosed(case, model=jaxgray.MechanicalModel(*own.values()))
+    (finding,) = model_findings(diagnosis)
+    assert finding.effect == f"{entry}_error" and finding.location == "y2", str(diagnosis)
+    check_parameter(finding.parameters["delta"], -wrong, "delta", str(diagnosis))
+
+
+@pytest.mark.parametrize("effect_id", hidden.RAW)
+def test_what_the_raw_record_shows(effect_id):
+    case = hidden.raw_case(generator(effect_id), effect_id, dofs=(2,), samples=SAMPLES)
+    diagnosis = diagnosed(case)
+    found = record_findings(diagnosis) | {f.effect for f in model_findings(diagnosis)}
+    assert effect_id in found, str(diagnosis)
+
+
+def test_a_closed_loop_is_announced():
+    diagnosis = diagnosed(hidden.closed_loop_case(generator("loop"), dofs=(2,), samples=SAMPLES))
+    assert "closed_loop" in record_findings(diagnosis)
+    assert not model_findings(diagnosis), str(diagnosis)
+
+
+def test_the_extended_model_simulates_what_was_measured():
+    case = hidden_case("cubic_stiffness")
+    diagnosis = diagnosed(case)
+    model = diagnosis.extended.model
+    assert [term.effect.id for term in model.effects] == ["cubic_stiffness"]
+    y = model.simulate(case.u_v, case.sampling_time, hold=case.hold)
+    error = np.sqrt(np.mean((y - case.clean_v) ** 2, axis=0))
+    assert np.all(error < 0.3 * case.noise)
