@@ -199,11 +199,21 @@ def noise_level(residual, y, excess):
     return level(np.exp(scipy.optimize.brentq(gap, -25.0, 5.0)))
 
 
+def _touches(effect, clean):
+    """Whether a gap is left as often as its name says: backlash in more than half of the samples, a stop in less."""
+    if effect.id not in ("dead_zone_stiffness", "end_stop"):
+        return True
+    contact = np.mean(np.abs(clean @ laws.arm(effect.place, clean.shape[1])) > effect.parameters["gap"])
+    return (contact > 0.5) == (effect.id == "dead_zone_stiffness")
+
+
 def _hides(case, y, effects, p):
     """(clean outputs, linear residual) with these effects; None where they make the system another one."""
     with np.errstate(all="ignore"):
         clean = simulate(case.system, case.u, SAMPLING_TIME, effects, hold=case.hold, scheduling=p)
     if not np.all(np.isfinite(clean)) or not np.all((rms(clean) > 0.15 * rms(y)) & (rms(clean) < 4 * rms(y))):
+        return None
+    if not all(_touches(effect, clean) for effect in effects):
         return None
     residual = linear_residual(case.u, clean, SAMPLING_TIME, hold=case.hold, start=case.system)
     return None if residual is None else (clean, residual)

@@ -46,7 +46,7 @@ def _power(name: str, power: int) -> str:
 
 def units_at(term: Term, record: Record) -> tuple[str, str]:
     """Units of force and length for the parameters of a term."""
-    first = term.place.first
+    first = max(term.place.first, 0)
     if isinstance(term.effect, AbstractOutputEffect):
         return record.input_units[0], record.output_units[first]
     if isinstance(term.effect, AbstractInputEffect):

@@ -111,7 +111,8 @@ def diagnose(
         np.random.default_rng(seed),
         progress,
     )
-    growth = grow(bench, baseline.start, max_effects)
+    errors = () if model is None else MODEL_ERRORS
+    growth = grow(bench, baseline.start, max_effects, errors=errors, max_errors=len(baseline.start.entries))
     progress.stage("summing up")
     chain = growth.screening.chain
     raw = record_findings(records[0], growth.stage.e, chain.ratio, chain.worth)

@@ -17,6 +17,10 @@ CHILDREN = 6
 """Variations of the best input that are tried in each round."""
 
 
+OVERFLOWING = 1e100
+"""Size from which a response has no products to speak of."""
+
+
 def next_experiment(
     bench: Bench,
     members: list[Candidate],
@@ -75,12 +79,14 @@ def separation(bench: Bench, members: list[Candidate], data: Data, floor) -> flo
     y, J = bench.simulator.run_and_jacobian(first, data)
     scale = np.where(data.kept[:, :, None], 1 / floor[None, :, None], 0.0)
     table = (J * scale).reshape(-1, J.shape[2])
+    if not np.max(np.abs(table)) < OVERFLOWING:
+        return None
     inverse = pseudo_inverse(table.T @ table)
     least = None
     for other in members[1:]:
         still = Candidate(other.entries, (np.zeros(len(other.x0[0])),), other.terms)
         e = ((bench.simulator.run(still, data) - y) * scale[:, :, 0]).reshape(-1)
-        if not np.all(np.isfinite(e)) or not np.all(np.isfinite(table)):
+        if not np.max(np.abs(e)) < OVERFLOWING:
             return None
         across = table.T @ e
         d = float(e @ e - across @ inverse @ across)

@@ -128,7 +128,7 @@ def _scale_key(effect: AbstractEffect, place: Place, output_names) -> tuple[str,
     if effect.places == "input":
         return "input", place.name
     if isinstance(effect, AbstractOutputEffect):
-        return "output", output_names[place.first]
+        return "output", output_names[max(place.first, 0)]
     return "coordinate", place.name
 
 
@@ -280,16 +280,16 @@ def _input_changes(laws, vectors, start, end, time):
 
 
 def _output_columns(shapes, plant, motion, data, outputs):
-    k = shapes[0].place.first
+    first = shapes[0].place.first
     made = np.zeros((len(data.u), outputs, sum(len(s.basis) for s in shapes)))
     source = np.zeros(len(data.u))
     if shapes[0].place.second >= 0:
         source = np.concatenate([motion.y, data.u], axis=1)[:, shapes[0].place.second]
     laws, vectors = _columns(shapes)
-    changes = _output_changes(
-        laws, vectors, jnp.asarray(motion.y[:, k]), jnp.asarray(source), jnp.asarray(data.sampling_time)
-    )
-    made[:, k] = np.concatenate([np.asarray(c) for c in changes])[_in_order(shapes, laws, changes)].T
+    source, time = jnp.asarray(source), jnp.asarray(data.sampling_time)
+    for k in range(outputs) if first < 0 else (first,):
+        changes = _output_changes(laws, vectors, jnp.asarray(motion.y[:, k]), source, time)
+        made[:, k] = np.concatenate([np.asarray(c) for c in changes])[_in_order(shapes, laws, changes)].T
     return made
 
 

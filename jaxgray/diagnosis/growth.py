@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.stats
 
+from ..mechanics.effects.base import AbstractEffect
 from .competitor import FlexibleForce
 from .extension import Layout, Refit, refit, with_states
 from .judgement import (
@@ -22,6 +23,7 @@ from .judgement import (
 )
 from .problem import Candidate, Data
 from .refitting import Attempt, Bench, attempts_of, chain_of, compared, moving, shortlist
+from .residual import white_chain
 from .result import Gain, Rejected
 from .screening import Screening
 from .stage import Stage, look, look_closer, stage_of
@@ -85,10 +87,13 @@ class Growth:
     runs: list[FreeRun] = field(default_factory=list)
 
 
-def grow(bench: Bench, start: Candidate, max_effects: int) -> Growth:
+def grow(
+    bench: Bench, start: Candidate, max_effects: int, *, errors: tuple[AbstractEffect, ...] = (), max_errors: int = 0
+) -> Growth:
     """Extend a model until nothing more is found.
 
-    **Arguments:** `bench`; `start`: the model to begin with; `max_effects`.
+    **Arguments:** `bench`; `start`: the model to begin with; `max_effects`; `errors`: effects to look for alone first,
+    at most `max_errors` of them (wrong numbers of a model that was given).
 
     **Returns:** a `Growth`.
     """
@@ -96,9 +101,17 @@ def grow(bench: Bench, start: Candidate, max_effects: int) -> Growth:
     growth = Growth(first, first)
     growth.baseline_runs = [_held_out_run(bench, start, d) for d in bench.validation]
     growth.runs = growth.baseline_runs
-    for turn in range(max_effects + 1):
-        bench.progress.stage("looking for effects" if turn == 0 else f"looking further ({turn} found)")
-        searched = (*bench.catalogue, FlexibleForce())
+    if errors:
+        _extend(dataclasses.replace(bench, catalogue=errors), growth, max_errors, errors)
+    _extend(bench, growth, max_effects, (*bench.catalogue, FlexibleForce()))
+    return growth
+
+
+def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEffect, ...]) -> None:
+    """Rounds of looking and accepting, until nothing more is found or `most` effects were."""
+    for turn in range(most + 1):
+        found = len(growth.accepted)
+        bench.progress.stage("looking for effects" if found == 0 else f"looking further ({found} found)")
         screening, _ = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
         growth.screening = screening
         growth.first = screening if growth.first is None else growth.first
@@ -108,16 +121,17 @@ def grow(bench: Bench, start: Candidate, max_effects: int) -> Growth:
         if not screening.fires and not strong:
             closer = _behind_the_noise(bench, growth.stage, screening)
             if closer is None:
-                return growth
-        if turn == max_effects:
-            return growth
+                return
+        if turn == most:
+            return
         if closer is None:
             closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names, screening.chain)
+            if not closer.shows:
+                closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names)
         if not _round(bench, growth, screening, closer):
-            return growth
+            return
         _backward(bench, growth)
         growth.unexplained = False
-    return growth
 
 
 def _stage(bench: Bench, candidate: Candidate) -> Stage:
@@ -151,7 +165,8 @@ def _behind_the_noise(bench: Bench, stage: Stage, screening: Screening) -> Scree
 def _round(bench: Bench, growth: Growth, screening: Screening, closer: Screening) -> bool:
     """Refit the most promising candidates and accept the best that holds; whether one did."""
     stage = growth.stage
-    attempts = attempts_of(bench, growth.stage, shortlist(screening, closer), closer.chain, growth.rejected)
+    chain = closer.chain if closer.shows else white_chain(stage.e, bench.data[0].kept, stage.system)
+    attempts = attempts_of(bench, growth.stage, shortlist(screening, closer), chain, growth.rejected)
     ranked = compared(bench, stage, list(attempts.values()))
     floor = _floor(bench, ranked)
     for k, attempt in enumerate(ranked):

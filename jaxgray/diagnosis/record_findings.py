@@ -9,6 +9,9 @@ from .result import Estimate, Finding
 WORTH = 20.0
 """Difference of likelihood (N ln det) from which noise at the forces is said."""
 
+PLAUSIBLE = 1.0
+"""Noise at the forces as large as the recorded ones: beyond, the colour of the noise is the better word."""
+
 IDS = ("sensor_clipping", "sensor_quantization", "outliers", "dropped_samples")
 
 
@@ -29,7 +32,7 @@ def record_findings(record: Record, e: np.ndarray, ratio: float, worth: float) -
             found.append(
                 Finding(finding.effect, finding.location, "named", "record", (), values, None, None, finding.message)
             )
-    if worth > WORTH:
+    if worth > WORTH and ratio <= PLAUSIBLE:
         message = "Noise enters at the forces too; error bars allow for it."
         values = {"ratio": Estimate(float(ratio), None, "")}
         found.append(Finding("process_noise", "record", "named", "record", (), values, None, None, message))

@@ -29,6 +29,9 @@ twice this."""
 ROUGH = 0.3
 """Decrement, in units of the noise variance, at which a first refit is good enough to compare."""
 
+RENEWALS = 6
+"""How often the chain of a refit is renewed."""
+
 LITTLE = 0.05
 """Share of the size that linear responses call for, to start from where the whole is worse than nothing."""
 
@@ -99,7 +102,15 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
 
     add(near, 3)
     add(far, 1 if chosen else 3)
-    add(white, 1)
+    add(white, 1 if chosen else 3)
+    # A law that turns into a simpler one is only worth what it explains beyond that.
+    for effect, place in [
+        (score.shape.effect, key[1]) for key, score in [*near.items(), *far.items(), *white.items()] if key in chosen
+    ]:
+        for simpler in effect.contains:
+            known = any((simpler, place) in table for table in (near, far, white))
+            if known and (simpler, place) not in chosen:
+                chosen[simpler, place] = []
     # Another place for the best effect: neighbours are easily taken for each other.
     if near:
         first = next(iter(near))
@@ -139,24 +150,25 @@ def attempts_of(
             why = f"explains less than the best candidate of its round (by {criterion - best:.0f})"
             rejected.append(Rejected(*name, score.delta_bic, why))
             continue
-        again = refit(bench.simulator, fit.candidate, bench.data, chain_of(bench, fit), held=bench.held, max_steps=10)
-        fit = along_the_valley(bench, fit if again is None else again)
+        fit = along_the_valley(bench, with_new_chains(bench, fit))
         fit = sharpened(bench, fit)
         fit = with_states(bench.simulator, fit, bench.data)
-        attempt = by_contact(Attempt(score, fit, chain_of(bench, fit)), stage)
+        attempt = by_contact(bench, Attempt(score, fit, chain_of(bench, fit)), stage)
         if attempt.name not in attempts or attempt.chain.cost < attempts[attempt.name].chain.cost:
             attempts[attempt.name] = attempt
     return attempts
 
 
-def by_contact(attempt: Attempt, stage: Stage) -> Attempt:
+def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
     """The attempt under the name that its contact gives it: backlash where the gap is left in more than half of the
     samples, an end stop where in fewer; the law is the same."""
     term = attempt.fit.candidate.terms[-1]
     if term.effect.id not in (DeadZoneStiffness.id, EndStop.id):
         return attempt
     arm = np.asarray(arm_of(term, stage.plant))
-    contact = np.mean(np.abs(stage.motion.q @ arm) > float(term.values[1]))
+    data = bench.data[0]
+    q = bench.simulator.motion(attempt.fit.candidate, data)[0][: data.samples, : len(arm)]
+    contact = np.mean(np.abs(q @ arm) > float(term.values[1]))
     effect = DeadZoneStiffness() if contact > 0.5 else EndStop()
     if effect.id == term.effect.id:
         return attempt
@@ -165,6 +177,19 @@ def by_contact(attempt: Attempt, stage: Stage) -> Attempt:
     fit = dataclasses.replace(attempt.fit, candidate=candidate.with_terms((*candidate.terms[:-1], renamed)))
     shape = dataclasses.replace(attempt.score.shape, effect=effect)
     return dataclasses.replace(attempt, fit=fit, score=dataclasses.replace(attempt.score, shape=shape))
+
+
+def with_new_chains(bench: Bench, fit: Refit) -> Refit:
+    """Refits under the chain of what is left, as long as less and less of it passes for noise at the forces."""
+    chain = chain_of(bench, fit)
+    for _ in range(RENEWALS):
+        again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=10)
+        if again is None:
+            return fit
+        fit, ratio, chain = again, chain.ratio, chain_of(bench, again)
+        if not chain.ratio < ratio / 2:
+            return fit
+    return fit
 
 
 def along_the_valley(bench: Bench, fit: Refit) -> Refit:

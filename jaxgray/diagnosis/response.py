@@ -19,7 +19,7 @@ from ..mechanics.effects.base import (
     Place,
     Term,
 )
-from ..mechanics.extended import Plant, Slots, changed_plant, held_input, motion_run, plant_run, slots_of, source_of
+from ..mechanics.extended import Plant, Slots, changed_plant, held_input, motion_run, plant_run, sensed, slots_of
 from .problem import Candidate, Data, Setup, estimated
 
 DIRECTIONS = 8
@@ -122,9 +122,7 @@ def _output_stage(flat, y, u, dy, sampling_time, terms):
 
     def build(vector, clean):
         for term in _filled(terms, vector):
-            k = term.place.first
-            changed = term.effect.apply(term.values, clean[:, k], source_of(term, clean, u), sampling_time)
-            clean = clean.at[:, k].set(changed)
+            clean = sensed(term, clean, u, sampling_time)
         return clean
 
     carried = jax.vmap(lambda t: jax.jvp(lambda c: build(flat, c), (y,), (t,))[1], in_axes=-1, out_axes=-1)(dy)
@@ -134,9 +132,7 @@ def _output_stage(flat, y, u, dy, sampling_time, terms):
 @eqx.filter_jit
 def _output_only(flat, y, u, sampling_time, terms):
     for term in _filled(terms, flat):
-        k = term.place.first
-        changed = term.effect.apply(term.values, y[:, k], source_of(term, y, u), sampling_time)
-        y = y.at[:, k].set(changed)
+        y = sensed(term, y, u, sampling_time)
     return y
 
 

@@ -77,6 +77,11 @@ class Screening:
         return best
 
     @property
+    def shows(self) -> bool:
+        """Whether any candidate is worth a refit."""
+        return bool(self.scores) and self.scores[0].delta_bic >= GATE
+
+    @property
     def fires(self) -> bool:
         """Whether any candidate passes the gate: ΔBIC above the threshold, and significant among all by Holm."""
         best = list(self.best_by_place().values())

@@ -26,6 +26,10 @@ class Fit:
     rmse: Float[np.ndarray, " outputs"]
 
 
+FEEDBACK = 0.002
+"""Probability at which a correlation with future inputs is said: it is a warning, and most records are open loop."""
+
+
 def fit_of(measured: Float[np.ndarray, "samples outputs"], simulated: Float[np.ndarray, "samples outputs"]) -> Fit:
     """`Fit` of simulated to measured outputs; missing samples do not count."""
     residual = measured - simulated
@@ -61,6 +65,15 @@ def _correlation(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
     return full[n - 1 - lags : n + lags] / n
 
 
+def _chance(c: np.ndarray, own: np.ndarray, samples: int) -> float:
+    """Probability of correlations as large as `c` with a signal whose own correlation is `own`."""
+    values, vectors = np.linalg.eigh(scipy.linalg.toeplitz(own[: len(c)]) / samples)
+    kept = values > 1e-2 * values[-1]
+    if not kept.any():
+        return 1.0
+    return float(scipy.stats.chi2.sf(np.sum((vectors[:, kept].T @ c) ** 2 / values[kept]), int(kept.sum())))
+
+
 def residual_test(
     residual: Float[np.ndarray, "samples outputs"],
     u: Float[np.ndarray, "samples inputs"],
@@ -69,8 +82,10 @@ def residual_test(
 ) -> ResidualTest:
     """Whiteness and independence of the residual from the inputs.
 
-    The band of the cross-correlation allows for the colour of both (Bartlett's formula); inputs are whitened
-    by an AR model first, so that a slow input does not spread one correlation over many lags.
+    The band of the cross-correlation allows for the colour of both (Bartlett's formula); inputs are whitened by an AR
+    model first, so that a slow input does not spread one correlation over many lags. Correlation with past or future
+    inputs is judged over all lags at once, both whitened, with the covariance that the input's own correlation gives.
+    An input at the same sample speaks for feedback where those before explain nothing.
 
     **Arguments:** `residual`: missing samples NaN (taken as zero); `u`; `lags`.
 
@@ -89,21 +104,34 @@ def residual_test(
     white = bool(np.all(portmanteau < scipy.stats.chi2.ppf(1 - 0.01 / outputs, lags)))
     cross = np.zeros((2 * lags + 1, outputs, u.shape[1]))
     bands = np.zeros((outputs, u.shape[1]))
-    late = early = False
+    late = early = at_once = False
+    innovations = np.stack([whiten_by_ar(e[:, k]) for k in range(outputs)], axis=1)
+    innovations = innovations / np.maximum(np.sqrt(np.mean(innovations**2, axis=0)), 1e-300)
     for j in range(u.shape[1]):
         centred = u[:, j] - np.mean(u[:, j])
         w = whiten_by_ar(centred)
         w = w / max(np.sqrt(np.mean(w**2)), 1e-300)
         own = _correlation(w, w, lags)
+        # Without the rare jumps of a reference, in which what is fed back would drown.
+        usual = 4 * 1.48 * np.median(np.abs(w))
+        calm = np.clip(w, -usual, usual) if usual > 0 else w
+        calm = calm / max(np.sqrt(np.mean(calm**2)), 1e-300)
+        calm_own = _correlation(calm, calm, lags)
         for k in range(outputs):
             c = _correlation(e[:, k], w, lags)
             spread = np.sqrt(max(np.sum(own * auto[:, k]), 0.1) / n)
             cross[:, k, j] = c
             bands[k, j] = quantile * spread
-            level = scipy.stats.chi2.ppf(1 - 0.01 / (outputs * u.shape[1]), lags)
-            late |= bool(np.sum((c[lags + 1 :] / spread) ** 2) > level)
-            early |= bool(np.sum((c[:lags] / spread) ** 2) > level)
-    return ResidualTest(auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, early)
+        for k in range(outputs):
+            c = _correlation(innovations[:, k], w, lags)
+            pairs = outputs * u.shape[1]
+            late |= _chance(c[lags + 1 :], own[lags:], n) * pairs < 0.01
+            c = _correlation(innovations[:, k], calm, lags)
+            early |= _chance(c[:lags], calm_own[lags:], n) * pairs < FEEDBACK
+            at_once |= _chance(c[lags : lags + 1], calm_own[lags:], n) * pairs < FEEDBACK
+    return ResidualTest(
+        auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, early or (at_once and not late)
+    )
 
 
 def ar_coefficients(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " coefficients"]:

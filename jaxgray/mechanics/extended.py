@@ -335,9 +335,15 @@ def extended_run(
     )[:, :outputs]
     for term in terms:
         if isinstance(term.effect, AbstractOutputEffect):
-            k = term.place.first
-            changed = term.effect.apply(term.values, y[:, k], source_of(term, y, u), sampling_time)
-            y = y.at[:, k].set(changed)
+            y = sensed(term, y, u, sampling_time)
+    return y
+
+
+def sensed(term: Term, y: Float[Array, "samples outputs"], u: Float[Array, "samples inputs"], sampling_time) -> Array:
+    """Outputs after an effect on one of them, or on all where its place is the whole record."""
+    source = source_of(term, y, u)
+    for k in range(y.shape[1]) if term.place.first < 0 else (term.place.first,):
+        y = y.at[:, k].set(term.effect.apply(term.values, y[:, k], source, sampling_time))
     return y
 
 

@@ -82,18 +82,16 @@ class ClarabelSolver(AbstractPositiveSolver):
         import clarabel
         import scipy.sparse as sparse
 
-        free = np.asarray(problem.unconstrained())
+        free = _unconstrained(problem)
         floors = np.asarray(problem.floors)
-        if np.all(np.isfinite(free)) and all(
-            np.linalg.eigvalsh(np.asarray(X))[0] >= floor for X, floor in zip(problem.blocks(free), floors)
-        ):
+        if np.all(np.isfinite(free)) and _inside(free, problem.sizes, floors):
             return free
         P = np.asarray(problem.quadratic)
         q = np.asarray(problem.linear)
         scale = 1.0 / max(np.max(np.abs(np.diag(P))), np.finfo(float).tiny)
         size = np.sqrt(np.mean(free**2)) if np.all(np.isfinite(free)) and np.any(free) else 1.0
         bound = np.concatenate(
-            [-floor / size * np.asarray(symmetric_vector(jnp.eye(n))) for n, floor in zip(problem.sizes, floors)]
+            [-floor / size * (duplication(n).T @ np.eye(n).ravel()) for n, floor in zip(problem.sizes, floors)]
         )
         settings = clarabel.DefaultSettings()
         settings.verbose = False
@@ -122,6 +120,31 @@ class ClarabelSolver(AbstractPositiveSolver):
                 detail=f"Clarabel says {solution.status}",
             )
         return _polished(problem, size * np.asarray(solution.x))
+
+
+def _unconstrained(problem: PositiveLeastSquares) -> np.ndarray:
+    """The minimiser without the cone, on the host: nothing is compiled for one more number of variables."""
+    P, target = np.asarray(problem.quadratic), -np.asarray(problem.linear)
+    scale = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
+    scaled, target = P / scale[:, None] / scale, target / scale
+    if problem.held is not None:
+        held = np.asarray(problem.held)
+        known = np.where(held, np.asarray(problem.values) * scale, 0.0)
+        target = np.where(held, known, target - scaled @ known)
+        scaled = np.where(held[:, None] | held, np.diag(1.0 * held), scaled)
+    try:
+        return np.linalg.solve(scaled, target) / scale
+    except np.linalg.LinAlgError:
+        return np.full(len(target), np.nan)
+
+
+def _inside(z: np.ndarray, sizes: tuple[int, ...], floors: np.ndarray) -> bool:
+    """Whether every block lies above its floor."""
+    ends = np.cumsum([n * (n + 1) // 2 for n in sizes])
+    for n, floor, part in zip(sizes, floors, np.split(z, ends[:-1])):
+        if np.linalg.eigvalsh((duplication(n) @ part).reshape(n, n))[0] < floor:
+            return False
+    return True
 
 
 _ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress")
@@ -157,7 +180,7 @@ def _polished(problem: PositiveLeastSquares, z: np.ndarray, steps: int = 8) -> n
     P, q = P / curvature, q / curvature
     ends = np.cumsum([n * (n + 1) // 2 for n in problem.sizes])[:-1]
     shift = np.concatenate(
-        [floor * np.asarray(symmetric_vector(jnp.eye(n))) for n, floor in zip(problem.sizes, problem.floors)]
+        [floor * (duplication(n).T @ np.eye(n).ravel()) for n, floor in zip(problem.sizes, problem.floors)]
     )
     held = np.zeros(len(q), bool) if problem.held is None else np.asarray(problem.held)
     pick = np.eye(len(q))[held]

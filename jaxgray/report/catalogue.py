@@ -16,6 +16,7 @@ PLACES = {
     "pair": "between two coordinates, y1-y2",
     "input": "an input, u1",
     "output": "an output, y1",
+    "record": "the whole record",
     "cross": "from a channel to an output, u1->y1",
 }
 UNITS = "Of effects at an input, force stands for the unit of the input; of sensors, length for that of the output."

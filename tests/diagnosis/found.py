@@ -19,7 +19,7 @@ def generator(*words):
     return np.random.default_rng([SEED, *(ord(letter) for word in words for letter in word)])
 
 
-def hidden_case(effect_id, *, dofs=(2,), excess=(2.0, 4.0)):
+def hidden_case(effect_id, *, dofs=(2,), excess=(1.5, 3.0)):
     """A random system with one hidden effect, from the independent simulator."""
     rng = generator(effect_id, str(dofs))
     return hidden.random_case(rng, effect_id, dofs=dofs, samples=SAMPLES, excess=excess)

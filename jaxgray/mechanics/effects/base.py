@@ -92,8 +92,8 @@ class AbstractEffect(eqx.Module):
     `id`: as in files and messages; `family`: file it belongs to; `parameters`; `parity`: "odd", "even" or "none" of
     the force in (q, v), or of the signal; `signature`: what gives it away, one line; `law`: formula in words;
     `reference`; `places`: where it can act: "coordinate" (one to ground), "spring" (one to ground, or between two),
-    "pair" (between two only), "input", "output", "cross" (source->polluted); `contains`: ids of simpler laws that it
-    turns into where its further parameters vanish.
+    "pair" (between two only), "input", "output", "record" (all outputs), "cross" (source->polluted); `contains`: ids
+    of simpler laws that it turns into where its further parameters vanish.
     """
 
     id: ClassVar[str]
@@ -248,6 +248,8 @@ def places_of(effect: AbstractEffect, input_names, output_names) -> tuple[Place,
         return tuple(Place(name, k) for k, name in enumerate(input_names))
     if effect.places == "output":
         return tuple(single)
+    if effect.places == "record":
+        return (Place("record", -1),)
     sources = list(output_names) + list(input_names)
     return tuple(
         Place(f"{source}->{name}", k, s)

@@ -158,7 +158,7 @@ class ClockScale(AbstractOutputEffect):
     parity = "odd"
     signature = "residual like the velocity, growing over the record"
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
-    places = "output"
+    places = "record"
 
     def shapes(self, scales):
         return [np.array([0.2 * scales.sampling_time / scales.duration])]
