@@ -110,7 +110,7 @@ def own_model(path: Path, record: Record, excitation: Excitation, notes: list[st
     if given["effects"]:
         notes.append(f"{path}: only its mass, damping and stiffness are judged, not its {given['effects']} effects.")
     names = {kind: getattr(record, kind) for kind in ("input_names", "output_names", "input_units", "output_units")}
-    return dataclasses.replace(model, drive=drive, measured=record.measured, **names)
+    return dataclasses.replace(model, drive=drive, measured=record.measured, effects=(), **names)
 
 
 def check_places(*paths) -> None:

@@ -9,7 +9,7 @@ from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..mechanics.model import MechanicalModel
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import ready
+from ..numerics.runtime import ready, relieve
 from ..records import Record, check_compatible
 from .assembly import (
     accepted_names,
@@ -33,6 +33,9 @@ from .refitting import Bench, explainable_share
 from .response import Simulator
 from .result import Diagnosis, Finding
 from .routes import begin
+
+MISFIT = 1e-8
+"""Probability of the structure test from which a linear model that nothing was added to has not explained all."""
 
 UNEXPLAINED = 1.05
 """Excess over an independent noise floor from which a silent gate does not mean noise."""
@@ -72,6 +75,7 @@ def diagnose(
     **Raises:** `ValueError` for arguments or data that cannot serve; `ComputationError` when a computation fails.
     """
     ready()
+    relieve()
     progress = Silent() if progress is None else progress
     if not isinstance(max_effects, int) or max_effects < 0:
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
@@ -166,6 +170,9 @@ def _assembled(
             runs = growth.baseline_runs
             gain = gain_of(runs, growth.runs, runs, floor, names, held_out=True, rng=bench.rng)
     unexplained = growth.unexplained or (source != "residual of the final model" and excess >= UNEXPLAINED)
+    test = None if identification is None else identification.structure_test
+    if not growth.accepted and test is not None and test.p_value < MISFIT:
+        unexplained = True
     depends = _depends_on(growth) if unexplained else ()
     if unexplained and not findings:
         worst = int(np.argmax(residual_rms(growth.stage.e, data) / floor))

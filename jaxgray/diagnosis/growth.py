@@ -7,6 +7,7 @@ import numpy as np
 import scipy.stats
 
 from ..mechanics.effects.base import AbstractEffect
+from ..numerics.runtime import relieve
 from .competitor import FlexibleForce
 from .extension import Layout, Refit, refit, with_states
 from .judgement import (
@@ -110,6 +111,7 @@ def grow(
 def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEffect, ...]) -> None:
     """Rounds of looking and accepting, until nothing more is found or `most` effects were."""
     for turn in range(most + 1):
+        relieve()
         found = len(growth.accepted)
         bench.progress.stage("looking for effects" if found == 0 else f"looking further ({found} found)")
         screening, _ = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)

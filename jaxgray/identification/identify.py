@@ -9,7 +9,7 @@ from ..mechanics.drives import Force
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import ready
+from ..numerics.runtime import ready, relieve
 from ..records import Record, check_compatible, preflight
 from .options import drive_of, fixed_entries, parse_fix, pick, with_known
 from .prediction import Batch, Setting
@@ -80,6 +80,7 @@ def identify(
     mechanical systems using subspace-based identification methods*.
     """
     ready()
+    relieve()
     progress = Silent() if progress is None else progress
     records = _as_records(record, "record")
     held_out = [] if validation is None else _as_records(validation, "validation")

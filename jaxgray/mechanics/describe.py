@@ -63,8 +63,9 @@ def describe(model) -> str:
         lines += _matrix(f"{type(drive).__name__}, outputs {motion}; direction", "", drive.direction)
     for name, unit in matrix_units(model).items():
         lines += _matrix(name, unit, getattr(model, name))
-    if model.effects:
-        lines.append(f"  effects  {', '.join(type(effect).__name__ for effect in model.effects)}")
+    for term in model.effects:
+        values = ", ".join(f"{p.name} = {float(v):.6g}" for p, v in zip(term.effect.parameters, term.values))
+        lines.append(f"  effect   {term.effect.id} at {term.place.name}: {values}")
     return "\n".join(lines)
 
 

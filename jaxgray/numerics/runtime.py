@@ -1,10 +1,14 @@
 """What must hold before anything is computed: 64-bit floats, and enough threads."""
 
+import gc
 import os
 
 import jax
 
 LEAST_THREADS = 4
+
+CROWDED = 0.7
+"""Share of the memory areas that a process may have from which compiled programs are dropped."""
 
 
 def ready() -> None:
@@ -24,3 +28,21 @@ def ready() -> None:
         )
     if (os.cpu_count() or 1) < LEAST_THREADS:
         os.environ.setdefault("NPROC", str(LEAST_THREADS))
+
+
+def relieve() -> None:
+    """Drop what was compiled before the process runs out of memory areas; nothing but Linux counts them.
+
+    Every compiled program keeps some thirty areas of memory; the kernel allows 65 530 in all (vm.max_map_count), and
+    the process dies at the next program beyond. Long campaigns over records of many sizes come that far.
+    """
+    try:
+        with open("/proc/sys/vm/max_map_count", encoding="ascii") as file:
+            most = int(file.read())
+        with open("/proc/self/maps", "rb") as file:
+            areas = sum(1 for _ in file)
+    except (OSError, ValueError):
+        return
+    if areas > CROWDED * most:
+        jax.clear_caches()
+        gc.collect()

@@ -3,9 +3,9 @@
 import numpy as np
 
 from ..diagnosis.result import Diagnosis, Estimate, Finding, Gain, ModelSummary, NextExperiment
-from ..mechanics.effects.base import Term
 from .export import model_document, plain
 from .summary import record_document
+from .terms import term_document
 from .units import matrix_units
 
 DIAGNOSIS = "jaxgray/diagnosis/1"
@@ -82,17 +82,8 @@ def _summary(summary: ModelSummary) -> dict:
 
 def _extended(diagnosis: Diagnosis) -> dict:
     made = _summary(diagnosis.extended) | {"gain": _gain(diagnosis.gain)}
-    made["model"]["effects"] = [_term(term) for term in diagnosis.terms]
+    made["model"]["effects"] = [term_document(term) for term in diagnosis.terms]
     return made
-
-
-def _term(term: Term) -> dict:
-    """A law at its place with its values; those of the same name make a list."""
-    values: dict[str, list] = {}
-    for parameter, value in zip(term.effect.parameters, np.asarray(term.values).tolist()):
-        values.setdefault(parameter.name, []).append(parameter.choices[round(value)] if parameter.choices else value)
-    parameters = {name: one[0] if len(one) == 1 else one for name, one in values.items()}
-    return {"effect": term.effect.id, "location": term.place.name, "parameters": parameters}
 
 
 def _finding(finding: Finding) -> dict:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..mechanics.drives import BaseAcceleration, BaseDisplacement, Force
 from ..mechanics.model import MechanicalModel
+from .terms import term_document, term_of
 
 SCHEMA = "jaxgray/model/1"
 
@@ -30,15 +31,9 @@ def save(result_or_model, path) -> None:
     **Arguments:** `result_or_model`: a `MechanicalModel`, or anything that has one as `.model`; `path`:
     ending in .json or .npz.
 
-    **Raises:** `ValueError` for another ending, or when the model has effects, which this format does not
-    hold.
+    **Raises:** `ValueError` for another ending.
     """
     model = result_or_model if isinstance(result_or_model, MechanicalModel) else result_or_model.model
-    if model.effects:
-        raise ValueError(
-            f"model has {len(model.effects)} effects, which {SCHEMA} does not hold; save the diagnosis, or "
-            "the model without them."
-        )
     document = {"schema": SCHEMA, **model_document(model)}
     kind = _kind(path)
     if kind == ".json":
@@ -47,6 +42,8 @@ def save(result_or_model, path) -> None:
     if "base" in document:
         base = document.pop("base")
         document |= {f"base_{key}": value for key, value in base.items()}
+    if "effects" in document:
+        document["effects"] = json.dumps(document["effects"])
     buffer = io.BytesIO()
     np.savez(buffer, **{key: np.asarray(value) for key, value in document.items()})
     write_whole(buffer.getvalue(), path)
@@ -62,6 +59,8 @@ def model_document(model: MechanicalModel) -> dict:
         kind = next(kind for kind, base in BASES.items() if isinstance(drive, base))
         direction = np.asarray(drive.direction).tolist()
         document["base"] = {"kind": kind, "direction": direction, "relative": drive.relative}
+    if model.effects:
+        document["effects"] = [term_document(term) for term in model.effects]
     return document | {name: list(getattr(model, name)) for name in TEXTS}
 
 
@@ -185,6 +184,8 @@ def _read_npz(path: Path) -> dict:
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path}: this is not an NPZ file of arrays ({error}).") from None
     base = {key: document.pop(f"base_{key}") for key in ("kind", "direction", "relative") if f"base_{key}" in document}
+    if isinstance(document.get("effects"), str):
+        document["effects"] = json.loads(document["effects"])
     return document | ({"base": base} if base else {})
 
 
@@ -206,7 +207,12 @@ def _model(document: dict) -> MechanicalModel:
         words = isinstance(value, list) and all(isinstance(word, str) for word in value)
         if not words and not (name == "measured" and isinstance(value, str)):
             raise ValueError(f"{name} is {value!r}; give a list of texts.")
-    return MechanicalModel(M, D, K, drive=drive, **texts)
+    model = MechanicalModel(M, D, K, drive=drive, **texts)
+    effects = document.get("effects") or []
+    if not isinstance(effects, list):
+        raise ValueError(f"effects is {effects!r}; give a list.")
+    terms = tuple(term_of(one, model.input_names, model.output_names) for one in effects)
+    return MechanicalModel(M, D, K, drive=drive, effects=terms, **texts) if terms else model
 
 
 def _base(base):

@@ -121,10 +121,12 @@ def test_the_users_own_model_takes_the_names_of_the_record(asked, records, model
 
 
 def test_effects_of_a_given_model_are_left_out_and_that_is_said(asked, records, model, capsys):
-    path = model(effects=[{"effect": "end_stop"}], output_names=["a", "b"])
+    stop = {"effect": "end_stop", "location": "a-b", "parameters": {"ks": 30.0, "gap": 0.1}}
+    path = model(effects=[stop], output_names=["a", "b"])
     run("diagnose", records[0], *CHANNELS, "--model", path, "--quiet", "--json", "-")
     assert "not its 1 effects" in strict(capsys.readouterr().out)["warnings"][0]
     assert asked.options["model"].output_names == ("y1", "y2")
+    assert asked.options["model"].effects == ()
 
 
 @pytest.mark.parametrize(

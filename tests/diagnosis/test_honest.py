@@ -26,8 +26,8 @@ def test_nothing_is_found_where_nothing_is_hidden(kind):
     assert diagnosis.not_found and diagnosis.extended is None and diagnosis.gain is None
 
 
-@pytest.mark.parametrize("pair", [("cubic_stiffness", "input_delay"), ("quadratic_drag", "sensor_drift")])
-def test_two_effects_are_both_found(pair):
+def test_two_effects_are_both_found():
+    pair = ("cubic_stiffness", "input_delay")
     case = hidden.random_pair(generator(*pair), pair=pair, dofs=(2,), samples=SAMPLES, excess=(2.0, 3.5))
     diagnosis = diagnosed(case)
     found = model_findings(diagnosis)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from jaxgray.mechanics.drives import BaseAcceleration, BaseDisplacement, Force
+from jaxgray.mechanics.effects import CATALOGUE
+from jaxgray.mechanics.effects.base import Term, places_of
 from jaxgray.mechanics.model import MechanicalModel
 from jaxgray.report.export import load, save, write_json
 
@@ -109,8 +111,38 @@ def test_wrong_files(model, tmp_path):
             load(tmp_path / name)
     with pytest.raises(ValueError, match="the folder .* is not there"):
         save(model, tmp_path / "nowhere" / "model.json")
-    with pytest.raises(ValueError, match="2 effects"):
-        save(MechanicalModel([[1.0]], [[1.0]], [[1.0]], effects=(1, 2)), tmp_path / "model.json")
+
+
+@pytest.mark.parametrize("ending", ["json", "npz"])
+def test_effects_come_back_with_their_places_and_parameters(tmp_path, ending):
+    terms = []
+    for effect in CATALOGUE:
+        place = places_of(effect, ("u1", "u2"), ("y1", "y2"))[-1]
+        values = [1 if parameter.choices else 0.1 * (k + 1) for k, parameter in enumerate(effect.parameters)]
+        terms.append(Term(effect, place, np.array(values, dtype=float)))
+    path = tmp_path / f"model.{ending}"
+    save(MechanicalModel(np.eye(2), np.eye(2), np.eye(2), effects=terms), path)
+    for before, after in zip(terms, load(path).effects, strict=True):
+        assert (before.effect, before.place) == (after.effect, after.place)
+        np.testing.assert_array_equal(before.values, after.values)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"effect": "cubic_stifness"}, "did you mean cubic_stiffness"),
+        ({"location": "y3"}, "cannot act at 'y3'"),
+        ({"parameters": {}}, "lacks the parameter k3"),
+        ({"parameters": {"k3": "much"}}, "give a finite number"),
+    ],
+)
+def test_a_wrong_effect_in_a_file_is_named(tmp_path, change, message):
+    effect = {"effect": "cubic_stiffness", "location": "y1", "parameters": {"k3": 2.0}} | change
+    matrices = {name: [[1.0]] for name in ("mass", "damping", "stiffness")}
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(matrices | {"effects": [effect]}))
+    with pytest.raises(ValueError, match=message):
+        load(path)
 
 
 def test_json_is_strict_and_whole(tmp_path):
