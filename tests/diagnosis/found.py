@@ -13,6 +13,26 @@ SEED = 20
 FORCES = (*hidden_draws.SPRING, *hidden_draws.PAIR)
 REST = tuple(i for i in hidden_draws.DYNAMIC if i not in FORCES)
 
+WHOLE = (
+    "cubic_stiffness",
+    "coulomb_friction",
+    "bouc_wen_hysteresis",
+    "gyroscopic_coupling",
+    "input_delay",
+    "sensor_offset",
+    "unmodelled_mode",
+    "force_step",
+)
+"""One of every family, looked for with the whole catalogue; the others among their relatives and these."""
+
+
+def searched(effect_id):
+    """Ids to look for; None for all."""
+    if effect_id in WHOLE:
+        return None
+    family = {effect.id: effect.family for effect in jaxgray.CATALOGUE}
+    return [i for i in family if i in WHOLE or family[i] == family[effect_id]]
+
 
 def generator(*words):
     """Random numbers that depend on some words alone."""

@@ -83,6 +83,17 @@ def test_a_measured_bench_agrees_with_its_frequency_response(capsys):
     assert abs(antiresonance[2] - antiresonance[4]) < 1.0
 
 
+def test_an_effect_of_ones_own_is_found(capsys):
+    own = example("own_effect")
+    found = own.main(["--samples", "2000"])
+    (finding,) = [f for f in found.findings if f.stage == "model"]
+    assert finding.effect == "quintic_stiffness" and finding.status == "named", str(found)
+    estimate = finding.parameters["k5"]
+    assert abs(estimate.value - own.QUINTIC) < 4.5 * estimate.standard_error < 0.1 * own.QUINTIC
+    assert finding.gain.ci95[0] > 0
+    assert "With the law" in capsys.readouterr().out
+
+
 def test_the_readmes_python_runs_as_it_stands():
     (code,) = blocks("python")
     assert len(code.strip().splitlines()) <= 20
