@@ -18,7 +18,7 @@ from jaxgray.mechanics.effects.base import AbstractForceEffect, Parameter
 
 jax.config.update("jax_enable_x64", True)
 
-MASS, DAMPING, STIFFNESS, QUINTIC = 1.5, 1.0, 150.0, 4e5
+MASS, DAMPING, STIFFNESS, QUINTIC = 1.5, 2.0, 150.0, 3e4
 SAMPLING_TIME = 0.01
 NOISE = 5e-4
 
@@ -45,7 +45,7 @@ class QuinticStiffness(AbstractForceEffect):
 
 def simulated(rng, samples):
     """A noisy record of the mass under random steps of force."""
-    u = np.repeat(rng.uniform(-15, 15, samples // 20 + 1), 20)[:samples]
+    u = np.repeat(rng.uniform(-12, 12, samples // 20 + 1), 20)[:samples]
 
     y, x = np.empty(samples), np.zeros(2)
     # In pieces of one step of the force, so that no step of the integrator runs over its edge.
