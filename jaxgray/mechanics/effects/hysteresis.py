@@ -18,6 +18,7 @@ class DahlFriction(AbstractForceEffect):
         Parameter("x_d", (0, 1, 0), lower=0.0),
     )
     parity = "odd"
+    contains = ("coulomb_friction",)
     signature = "loops at reversals of the motion"
     reference = "Dahl, A Solid Friction Model, Aerospace Corporation TOR-0158(3107-18)-1, 1968"
     places = "spring"
