@@ -201,10 +201,17 @@ def _alike(best: Attempt, other: Attempt) -> float:
 
 
 def _needless(rival: Attempt, best: Attempt) -> bool:
-    """Whether a rival is the best law at its place with more parameters, which do not pay (likelihood ratio)."""
+    """Whether a rival is the best law at its place with more parameters, which do not pay (likelihood ratio) or are
+    within two standard errors of nothing."""
     small, large = best.score.shape, rival.score.shape
     if rival.name[1] != best.name[1] or small.effect.id not in large.effect.contains:
         return False
+    term, known = rival.fit.candidate.terms[-1], {p.name for p in small.effect.parameters}
+    own = [j for j, p in enumerate(term.effect.parameters) if p.counts]
+    errors = np.sqrt(np.maximum(np.diag(rival.fit.covariance)[-len(own) :], 0.0))
+    further = [(float(term.values[j]), e) for j, e in zip(own, errors) if term.effect.parameters[j].name not in known]
+    if further and all(abs(value) < 2 * error for value, error in further):
+        return True
     ratio = best.criterion - best.penalty - (rival.criterion - rival.penalty)
     return ratio < scipy.stats.chi2.ppf(0.95, max(large.free - small.free, 1))
 
