@@ -8,12 +8,12 @@ from ..identification.validation import fit_of
 from ..mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term
 from ..mechanics.model import MechanicalModel
 from ..records import Record
+from .bench import Bench
 from .competitor import FlexibleForce
 from .extension import Layout, Refit
 from .growth import Accepted, Growth, residual_rms
 from .judgement import FreeRun
 from .problem import Candidate, Setup
-from .refitting import Bench
 from .result import (
     Curves,
     Estimate,

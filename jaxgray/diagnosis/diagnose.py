@@ -23,13 +23,14 @@ from .assembly import (
     summary_of,
 )
 from .baseline import baseline_of, independent_floor
+from .bench import Bench
 from .competitor import FlexibleForce
 from .experiment import next_experiment
 from .growth import Growth, grow, residual_rms
 from .judgement import FreeRun, gain_of, overall
 from .problem import Data
 from .record_findings import record_findings
-from .refitting import Bench, explainable_share
+from .refitting import explainable_share
 from .response import Simulator
 from .result import Diagnosis, Finding
 from .routes import begin

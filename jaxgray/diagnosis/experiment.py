@@ -8,14 +8,16 @@ from jaxtyping import Float
 from ..identification.conic import pseudo_inverse
 from ..numerics.progress import AbstractProgress
 from ..records import Record
+from .bench import Bench
 from .problem import Candidate, Data
-from .refitting import Bench
 from .result import NextExperiment
 
 ROUNDS = 2
 CHILDREN = 6
 """Variations of the best input that are tried in each round."""
 
+SHORTEST = 1000
+"""Samples that an experiment has at least, if the record has as many."""
 
 OVERFLOWING = 1e100
 """Size from which a response has no products to speak of."""
@@ -37,19 +39,22 @@ def next_experiment(
 
         d² = min_δ ‖(y_i − y_j − J_i δ)/σ‖².
 
-    **Arguments:** `bench`; `members`: the class, refitted; `record`: whose amplitude, band and length are kept;
-    `floor`: noise σ per output; `progress`.
+    **Arguments:** `bench`; `members`: the class, refitted; `record`: whose amplitude and band are kept, and its length,
+    or that of a shorter held-out one; `floor`: noise σ per output; `progress`.
 
     **Returns:** a `NextExperiment`, or None where the members cannot be simulated.
 
     **Reference:** Hunter & Reiner (1965), designs for discriminating between two rival models.
     """
-    data, rng = bench.data[0], bench.rng
-    now = separation(bench, members, data, floor)
+    rng = bench.rng
+    now = separation(bench, members, bench.data[0], floor)
     if now is None:
         return None
+    long_enough = [d for d in bench.validation if d.samples >= SHORTEST]
+    data = min((bench.data[0], *long_enough), key=lambda d: d.samples)
+    data = dataclasses.replace(data, kept=np.arange(len(data.u))[:, None] < np.full(len(floor), data.samples))
     tried = []
-    for k, (name, u) in enumerate(inputs_like(record, rng)):
+    for k, (name, u) in enumerate(inputs_like(record, data.samples, rng)):
         progress.stage("designing the next experiment", fraction=k / 20)
         d = separation(bench, members, _with_input(data, u), floor)
         if d is not None:
@@ -67,7 +72,7 @@ def next_experiment(
     d, name, u = best
     ids = tuple(term.terms[-1].effect.id for term in members)
     text = (
-        f"{name[0].upper()}{name[1:]}, {record.samples} samples at {record.sampling_time:g} s, within the amplitude of "
+        f"{name[0].upper()}{name[1:]}, {data.samples} samples at {record.sampling_time:g} s, within the amplitude of "
         f"the record: predicted to separate {' and '.join(ids)} by d² = {d:.0f} (this record: {now:.1f}; 9 is enough)."
     )
     return NextExperiment(ids, u, record.sampling_time, float(d), float(now), text)
@@ -99,13 +104,14 @@ def _with_input(data: Data, u: np.ndarray) -> Data:
     return dataclasses.replace(data, u=padded)
 
 
-def inputs_like(record: Record, rng: np.random.Generator):
-    """Inputs of several families with the peak, length and upper band of a record: pairs of name and input."""
-    n, inputs, h = record.samples, record.inputs, record.sampling_time
+def inputs_like(record: Record, samples: int, rng: np.random.Generator):
+    """Inputs of several families with the peak and upper band of a record: pairs of name and input."""
+    inputs, h = record.inputs, record.sampling_time
     peak = np.max(np.abs(record.u), axis=0)
     power = np.sum(np.abs(np.fft.rfft(record.u - record.u.mean(axis=0), axis=0)) ** 2, axis=1)
     share = np.cumsum(power) / max(power.sum(), 1e-300)
-    frequency = np.fft.rfftfreq(n, h)
+    frequency = np.fft.rfftfreq(record.samples, h)
+    n = samples
     highest = max(float(frequency[np.searchsorted(share, 0.95)]), 4.0 / (n * h))
     result = []
     for factor in (1.0, 0.4):

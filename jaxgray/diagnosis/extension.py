@@ -9,15 +9,14 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..identification.conic import MASS_FLOOR, pseudo_inverse
 from ..mechanics.effects.base import Term
-from ..numerics.linear_algebra import triangle
 from ..numerics.outcomes import ComputationError
-from ..numerics.positive import ClarabelSolver, PositiveLeastSquares
+from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
 from .problem import Candidate, Data, Setup, estimated
-from .residual import Chain, counted
+from .residual import SETTLING, Chain, counted
 from .response import Simulator
 
 DECREMENT = 1e-2
@@ -175,7 +174,7 @@ class _Step:
             plain[free] = -np.linalg.solve(quadratic[np.ix_(free, free)], slope[free])
         except np.linalg.LinAlgError:
             return None
-        if np.all(np.isfinite(plain)) and self._allowed(here + plain, floors):
+        if np.all(np.isfinite(plain)) and inside_cone(here + plain, self.sizes, floors):
             return plain
         problem = PositiveLeastSquares(
             jnp.asarray(quadratic),
@@ -190,22 +189,6 @@ class _Step:
         except ComputationError:
             return None
 
-    def _allowed(self, z, floors) -> bool:
-        at = 0
-        for n, floor in zip(self.sizes, floors):
-            count = n * (n + 1) // 2
-            if n == 1:
-                lowest = z[at]
-            else:
-                rows, columns = triangle(n)
-                X = np.zeros((n, n))
-                X[rows, columns] = np.where(rows == columns, z[at : at + count], z[at : at + count] / np.sqrt(2))
-                lowest = np.linalg.eigvalsh(X, UPLO="U")[0]
-            if lowest < floor:
-                return False
-            at += count
-        return True
-
     @property
     def _lower(self):
         return np.concatenate([np.full(self.layout.first, -np.inf), self.layout.lower])
@@ -217,8 +200,7 @@ class _Step:
 
 def weighted(chain: Chain, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """Whitened columns of the samples that count, as a matrix samples·outputs × columns."""
-    used = counted(kept)
-    return (chain.whiten(np.where(kept[:, :, None], X, 0.0)) * used[:, :, None]).reshape(-1, X.shape[2])
+    return chain.whiten_rows(np.moveaxis(X, 2, 0), kept, counted(kept)).reshape(X.shape[2], -1).T
 
 
 def refit(
@@ -250,7 +232,8 @@ def refit(
     always, still = fixed, fixed | layout.shape_of_last(candidate)
     step = _Step(setup, layout, fixed)
     theta = layout.vector(candidate)
-    now = _equations(simulator, candidate, data, chain, layout)
+    equations = _Equations(simulator, data, chain, layout)
+    now = equations(candidate)
     if now is None:
         return None
     damping, steps, converged, before, started = 0.0, 0, False, np.inf, now[2]
@@ -274,7 +257,7 @@ def refit(
             break
         moved = layout.moved(theta, change, candidate)
         trial_candidate = layout.candidate(moved, candidate)
-        trial = _equations(simulator, trial_candidate, data, chain, layout)
+        trial = equations(trial_candidate)
         if trial is None or not trial[2] <= cost:
             converged = decrement < 10 * tolerance
             damping = max(10 * damping, 1e-3)
@@ -289,29 +272,42 @@ def refit(
     return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started)
 
 
-def _equations(simulator, candidate, data, chain, layout):
-    """Information, gradient, cost, count, residuals and Jacobians at a candidate; None where it overflows."""
-    H, g, cost, count = 0.0, 0.0, 0.0, 0
-    residuals, jacobians = [], []
-    for k, d in enumerate(data):
-        y, J = simulator.run_and_jacobian(candidate, d, k)
-        e = np.where(d.kept, d.y - y, 0.0)
-        if not (np.all(np.isfinite(e)) and np.all(np.isfinite(J))):
+class _Equations:
+    """Information, gradient, cost, count, residuals and Jacobians at a candidate; None where it overflows.
+
+    The chain does not count the first samples, of which it has no past, but these tell most of the first state, and
+    after a rest in dry friction all of it: they enter as they are, in units of what the first candidate leaves.
+    """
+
+    def __init__(self, simulator: Simulator, data: list[Data], chain: Chain, layout: Layout):
+        self.simulator, self.data, self.chain, self.layout = simulator, data, chain, layout
+        self.levels = None
+
+    def __call__(self, candidate: Candidate):
+        runs = [self.simulator.run_and_jacobian(candidate, d, k) for k, d in enumerate(self.data)]
+        residuals = [np.where(d.kept, d.y - y, 0.0) for d, (y, _) in zip(self.data, runs)]
+        if not all(np.all(np.isfinite(e)) and np.all(np.isfinite(J)) for e, (_, J) in zip(residuals, runs)):
             return None
-        both = weighted(chain, np.concatenate([J, e[:, :, None]], axis=2), d.kept)
-        if not np.all(np.isfinite(both)):
-            return None
-        # What is all but overflowing has no products to speak of.
-        if np.max(np.abs(both)) > _LARGEST:
-            return None
-        table = layout.widened(both[None, :, :-1], k)[0]
-        H = H + table.T @ table
-        g = g - table.T @ both[:, -1]
-        cost += float(both[:, -1] @ both[:, -1])
-        count += int(counted(d.kept).sum())
-        residuals.append(e)
-        jacobians.append(J)
-    return H, g, cost, count, tuple(residuals), tuple(jacobians)
+        if self.levels is None:
+            self.levels = [
+                np.sqrt(np.maximum(np.sum(e**2, axis=0) / np.maximum(d.kept.sum(axis=0), 1), 1e-300))
+                for e, d in zip(residuals, self.data)
+            ]
+        H, g, cost, count = 0.0, 0.0, 0.0, 0
+        for k, d in enumerate(self.data):
+            both = np.concatenate([runs[k][1], residuals[k][:, :, None]], axis=2)
+            head = min(SETTLING, len(d.kept) // 4)
+            first = np.where(d.kept[:head, :, None], both[:head] / self.levels[k][:, None], 0.0)
+            both = np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.chain, both, d.kept)])
+            # What is all but overflowing has no products to speak of.
+            if not np.max(np.abs(both)) <= _LARGEST:
+                return None
+            table = self.layout.widened(both[None, :, :-1], k)[0]
+            H = H + table.T @ table
+            g = g - table.T @ both[:, -1]
+            cost += float(both[:, -1] @ both[:, -1])
+            count += int(counted(d.kept).sum() + d.kept[:head].sum())
+        return H, g, cost, count, tuple(residuals), tuple(J for _, J in runs)
 
 
 def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: int = 2) -> Refit:
@@ -327,9 +323,7 @@ def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: in
         for _ in range(steps):
             e, J = residuals[k], jacobians[k]
             scale = np.sqrt(np.maximum(np.mean(e[: d.samples] ** 2, axis=0), 1e-300))
-            table = np.where(d.kept[:, :, None], J[:, :, first : first + states], 0.0) / scale[:, None]
-            table = table.reshape(-1, states)
-            change = pseudo_inverse(table.T @ table) @ (table.T @ (e / scale).reshape(-1))
+            change = state_step(e, J[:, :, first : first + states], d.kept, scale)
             x0 = tuple(x + change if j == k else x for j, x in enumerate(candidate.x0))
             trial = Candidate(candidate.entries, x0, candidate.terms)
             y, J = simulator.run_and_jacobian(trial, d, k)
@@ -338,3 +332,15 @@ def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: in
                 break
             candidate, residuals[k], jacobians[k] = trial, new, J
     return dataclasses.replace(fit, candidate=candidate, residual=tuple(residuals), jacobian=tuple(jacobians))
+
+
+def state_step(
+    e: Float[np.ndarray, "samples outputs"],
+    J: Float[np.ndarray, "samples outputs states"],
+    kept: Bool[np.ndarray, "samples outputs"],
+    scale: Float[np.ndarray, " outputs"],
+) -> Float[np.ndarray, " states"]:
+    """Gauss-Newton step of a first state: residual `e` and sensitivities `J` of the samples `kept`, in units of
+    `scale`."""
+    table = np.where(kept[:, :, None], J / scale[:, None], 0.0).reshape(-1, J.shape[2])
+    return pseudo_inverse(table.T @ table) @ (table.T @ np.where(kept, e / scale, 0.0).reshape(-1))

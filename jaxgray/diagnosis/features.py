@@ -70,11 +70,16 @@ class Shape:
 
 @dataclass(frozen=True)
 class Features:
-    """Responses of all shapes: `responses` (samples × outputs × columns), `owner`: the shape of every column."""
+    """Responses of all shapes, one a row, in the order of the shapes."""
 
     shapes: tuple[Shape, ...]
-    responses: Float[np.ndarray, "samples outputs columns"]
-    owner: np.ndarray
+    responses: Float[np.ndarray, "columns samples outputs"]
+
+    def only(self, scores) -> "Features":
+        """Those of some scores."""
+        columns = [np.arange(s.column, s.column + len(s.shape.basis)) for s in scores]
+        rows = np.concatenate(columns) if columns else np.zeros(0, int)
+        return Features(tuple(s.shape for s in scores), self.responses[rows])
 
 
 def features(
@@ -114,14 +119,13 @@ def features(
                 key = (kind, place.name if kind != "matrix" else effect.extra)
                 groups.setdefault(key, []).append(len(all_shapes) - 1)
     samples = len(data.u)
-    owner = np.concatenate([[k] * len(s.basis) for k, s in enumerate(all_shapes)]).astype(int)
     first = np.concatenate([[0], np.cumsum([len(s.basis) for s in all_shapes])])[:-1]
-    responses = np.full((samples, outputs, len(owner)), np.nan)
+    responses = np.empty((sum(len(s.basis) for s in all_shapes), samples, outputs))
     for (kind, _), members in groups.items():
         made = _MAKERS[kind]([all_shapes[k] for k in members], plant, motion, data, outputs)
         columns = np.concatenate([np.arange(first[k], first[k] + len(all_shapes[k].basis)) for k in members])
-        responses[:, :, columns] = made
-    return Features(tuple(all_shapes), responses, owner)
+        responses[columns] = made
+    return Features(tuple(all_shapes), responses)
 
 
 def _scale_key(effect: AbstractEffect, place: Place, output_names) -> tuple[str, str]:
@@ -227,13 +231,13 @@ def _next(X):
 def _responses(plant, columns, start, end, time, outputs, *, forced):
     """Outputs of the plant for many inputs: `start`, `end` (columns × samples × channels), added forces or inputs."""
     total = start.shape[0]
-    made = np.empty((start.shape[1], outputs, total))
+    made = np.empty((total, start.shape[1], outputs))
     for k in range(0, total, BATCH):
         part = slice(k, min(k + BATCH, total))
         pad = BATCH - (part.stop - part.start)
         two = [jnp.asarray(np.pad(np.asarray(X)[part], ((0, pad), (0, 0), (0, 0)))) for X in (start, end)]
         y = _respond_many(plant, columns, *two, jnp.asarray(time), forced)
-        made[:, :, part] = np.moveaxis(np.asarray(y), 0, 2)[:, :outputs, : BATCH - pad]
+        made[part] = np.asarray(y)[: BATCH - pad, :, :outputs]
     return made
 
 
@@ -281,7 +285,7 @@ def _input_changes(laws, vectors, start, end, time):
 
 def _output_columns(shapes, plant, motion, data, outputs):
     first = shapes[0].place.first
-    made = np.zeros((len(data.u), outputs, sum(len(s.basis) for s in shapes)))
+    made = np.zeros((sum(len(s.basis) for s in shapes), len(data.u), outputs))
     source = np.zeros(len(data.u))
     if shapes[0].place.second >= 0:
         source = np.concatenate([motion.y, data.u], axis=1)[:, shapes[0].place.second]
@@ -289,7 +293,7 @@ def _output_columns(shapes, plant, motion, data, outputs):
     source, time = jnp.asarray(source), jnp.asarray(data.sampling_time)
     for k in range(outputs) if first < 0 else (first,):
         changes = _output_changes(laws, vectors, jnp.asarray(motion.y[:, k]), source, time)
-        made[:, k] = np.concatenate([np.asarray(c) for c in changes])[_in_order(shapes, laws, changes)].T
+        made[:, :, k] = np.concatenate([np.asarray(c) for c in changes])[_in_order(shapes, laws, changes)]
     return made
 
 
@@ -314,7 +318,7 @@ def _matrix_columns(shapes, plant, motion, data, outputs):
     total = matrices[0].shape[1]
     drive = with_coordinates(plant.drive, total)
     measured = plant.measured + ("displacement",) * (total - dofs)
-    made = np.empty((len(data.u), outputs, len(order)))
+    made = np.empty((len(order), len(data.u), outputs))
     alone = [jnp.asarray(X)[None] for X in (plant.mass, plant.damping, plant.stiffness)]
     still = np.asarray(_linear_runs(*alone, plant.drive, plant.measured, start, end, time))[0]
     for k in range(0, len(order), BATCH):
@@ -322,7 +326,7 @@ def _matrix_columns(shapes, plant, motion, data, outputs):
         count = len(part[0])
         part = [jnp.asarray(np.concatenate([X, np.repeat(X[-1:], BATCH - count, axis=0)])) for X in part]
         y = np.asarray(_linear_runs(*part, drive, measured, start, end, time))
-        made[:, :, k : k + count] = np.moveaxis(y[:count, :, :outputs] - still[None, :, :outputs], 0, 2)
+        made[k : k + count] = y[:count, :, :outputs] - still[None, :, :outputs]
     return made
 
 

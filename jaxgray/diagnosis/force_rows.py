@@ -15,8 +15,9 @@ import scipy.signal
 from jaxtyping import Bool, Float
 
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect, Local, Place, Scales
-from ..mechanics.extended import held_input
+from ..mechanics.extended import arm_along, held_input
 from ..records import Record
+from .sizes import LEVELS, root_mean_square
 
 ABOVE_NOISE = 100.0
 """The band ends where the power of the motion comes down to so many times that of its noise."""
@@ -28,7 +29,6 @@ AT_REST = 0.05
 """Share of the typical velocity below which a coordinate counts as at rest."""
 
 ORDER = 4
-LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)
 
 
 @dataclass(frozen=True)
@@ -178,24 +178,13 @@ def contribution(
         start, end = jnp.asarray(series.start[:, place.first]), jnp.asarray(series.end[:, place.first])
         made = (_change_slopes if slopes else _change)(effect, p, start, end, time)
     else:
-        arm = arm_at(effect, place, input_map)
+        arm = np.asarray(arm_along(effect, place, input_map))
         made = (_force_slopes if slopes else _force)(effect, p, local_at(effect, place, series, arm), time)
     made = np.asarray(made)
     if not np.all(np.isfinite(made)):
         return np.full((len(series.rows), len(arm), *made.shape[1:]), np.nan)
     made = series.row_values(made)
     return np.einsum("r...,d->rd...", made, arm)
-
-
-def arm_at(effect: AbstractEffect, place: Place, input_map) -> Float[np.ndarray, " dofs"]:
-    """Unit vector along which a force acts."""
-    if effect.places == "input":
-        return np.asarray(input_map)[:, place.first]
-    arm = np.zeros(len(input_map))
-    arm[place.first] = 1.0
-    if place.second >= 0:
-        arm[place.second] = -1.0
-    return arm
 
 
 def local_at(effect, place: Place, series: Series, arm) -> Local:
@@ -209,21 +198,18 @@ def local_at(effect, place: Place, series: Series, arm) -> Local:
 
 def scales_of(effect: AbstractEffect, place: Place, series: Series, input_map, force: float) -> Scales:
     """Sizes in the record by which the shapes of an effect at a place are chosen; `force`: typical force there."""
-    arm = arm_at(effect, place, input_map)
+    arm = np.asarray(arm_along(effect, place, input_map))
     q, v = series.q @ arm, series.v @ arm
     u = series.start[:, place.first] if effect.places == "input" else np.zeros(1)
     h, samples = series.sampling_time, len(series.q)
 
-    def size(x):
-        return float(max(np.sqrt(np.mean(np.square(x))), 1e-300))
-
     return Scales(
-        size(q),
-        size(v),
+        root_mean_square(q),
+        root_mean_square(v),
         float(np.abs(q).max()),
         float(np.abs(v).max()),
         tuple(map(float, np.quantile(np.abs(q), LEVELS))),
-        size(u),
+        root_mean_square(u),
         float(np.abs(u).max()),
         tuple(map(float, np.quantile(np.abs(u), LEVELS))),
         force,

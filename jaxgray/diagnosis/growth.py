@@ -8,6 +8,7 @@ import scipy.stats
 
 from ..mechanics.effects.base import AbstractEffect
 from ..numerics.runtime import relieve
+from .bench import Bench, chain_of
 from .competitor import FlexibleForce
 from .extension import Layout, Refit, refit, with_states
 from .judgement import (
@@ -23,10 +24,11 @@ from .judgement import (
     significance,
 )
 from .problem import Candidate, Data
-from .refitting import Attempt, Bench, attempts_of, chain_of, compared, moving, shortlist
+from .refitting import Attempt, attempts_of, compared, moving
 from .residual import white_chain
 from .result import Gain, Rejected
 from .screening import Screening
+from .shortlist import shortlist
 from .stage import Stage, look, look_closer, stage_of
 
 EXPLAINED = 0.1
@@ -64,12 +66,11 @@ TIME_LOCAL = frozenset(
 
 @dataclass(frozen=True)
 class Accepted:
-    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`, whether it is `time_local`."""
+    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`."""
 
     attempt: Attempt
     rivals: tuple[Attempt, ...]
     gain: Gain
-    time_local: bool
 
 
 @dataclass
@@ -114,10 +115,10 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
         relieve()
         found = len(growth.accepted)
         bench.progress.stage("looking for effects" if found == 0 else f"looking further ({found} found)")
-        screening, _ = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
+        screening = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
         growth.screening = screening
         growth.first = screening if growth.first is None else growth.first
-        strong = _strong(growth.stage, bench.data[0], screening)
+        strong = _strong(screening)
         growth.unexplained = screening.fires
         closer = None
         if not screening.fires and not strong:
@@ -143,7 +144,7 @@ def _stage(bench: Bench, candidate: Candidate) -> Stage:
     return dataclasses.replace(stage, J=stage.J[:, :, kept])
 
 
-def _strong(stage: Stage, data: Data, screening: Screening) -> bool:
+def _strong(screening: Screening) -> bool:
     """Whether some candidate takes most of what is left, though the chain could pass it off as noise at the forces."""
     best = screening.first[0] if screening.first else None
     if best is None or best.delta_bic < 100:
@@ -186,9 +187,11 @@ def _round(bench: Bench, growth: Growth, screening: Screening, closer: Screening
             elif _needless(other, attempt):
                 why = f"the same as {attempt.name[0]} with a parameter that explains nothing"
                 growth.rejected.append(Rejected(*other.name, other.delta_bic, why))
-            elif at_bound(other.fit, len(other.fit.candidate.terms) - 1) is None:
+            elif (bound := at_bound(other.fit, len(other.fit.candidate.terms) - 1)) is not None:
+                growth.rejected.append(Rejected(*other.name, other.delta_bic, f"{bound} ran to its physical bound"))
+            else:
                 rivals.append(other)
-        growth.accepted.append(Accepted(attempt, tuple(rivals[:3]), gain, attempt.name[0] in TIME_LOCAL))
+        growth.accepted.append(Accepted(attempt, tuple(rivals[:3]), gain))
         growth.fit, growth.runs = attempt.fit, runs
         growth.stage = _stage(bench, attempt.fit.candidate)
         return True
@@ -290,8 +293,8 @@ def _backward(bench: Bench, growth: Growth) -> None:
         if fit is None:
             continue
         gone = growth.accepted[k].attempt
-        with_it, rows = evidence(moving(bench, growth.fit), bench.data[:1], chain)
-        without_it, _ = evidence(moving(bench, fit), bench.data[:1], chain)
+        with_it, rows = evidence(*moving(bench, growth.fit), bench.data[0], chain)
+        without_it, _ = evidence(*moving(bench, fit), bench.data[0], chain)
         change = rows * np.log(without_it / with_it) - gone.score.shape.free * np.log(rows)
         if change < ACCEPTED:
             growth.accepted.pop(k)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..identification.conic import pseudo_inverse
-from .extension import Layout, Refit
+from .extension import Layout, Refit, state_step, weighted
 from .problem import Candidate, Data
 from .residual import Chain, counted
 from .response import Simulator
@@ -24,34 +24,23 @@ SIGNIFICANT = 4.0
 HEAD = 0.05
 """Share of a held-out record on which its first state is estimated."""
 
+NUDGE = 1e-6
+"""Relative change by which a parameter is moved to see whether a bound is in the way."""
+
 RESAMPLES = 500
 
 
-def evidence(fit: Refit, data: list[Data], chain: Chain) -> tuple[float, int]:
-    """Sum of squares of a refit's residual under a chain, re-optimised to first order, and how many samples count."""
-    H = g = cost = 0.0
-    rows = 0
-    for k, d in enumerate(data):
-        both = np.concatenate([_columns(fit, k), fit.residual[k][:, :, None]], axis=2)
-        used = counted(d.kept).reshape(-1)
-        white = chain.whiten(np.where(d.kept[:, :, None], both, 0.0)).reshape(-1, both.shape[2])[used]
-        J, r = white[:, :-1], white[:, -1]
-        H, g, cost, rows = H + J.T @ J, g + J.T @ r, cost + float(r @ r), rows + int(used.sum())
-    return cost - float(g @ pseudo_inverse(np.asarray(H)) @ g), rows
-
-
-def _columns(fit: Refit, record: int) -> np.ndarray:
-    if len(fit.residual) == 1:
-        return fit.jacobian[0]
-    states = len(fit.candidate.x0[0])
-    J = fit.jacobian[record]
-    entries = len(fit.candidate.entries)
-    full = np.zeros((*J.shape[:2], J.shape[2] + states * (len(fit.residual) - 1)))
-    full[:, :, :entries] = J[:, :, :entries]
-    at = entries + record * states
-    full[:, :, at : at + states] = J[:, :, entries : entries + states]
-    full[:, :, entries + states * len(fit.residual) :] = J[:, :, entries + states :]
-    return full
+def evidence(
+    e: Float[np.ndarray, "samples outputs"],
+    J: Float[np.ndarray, "samples outputs parameters"],
+    data: Data,
+    chain: Chain,
+) -> tuple[float, int]:
+    """Sum of squares of a residual under a chain, re-optimised to first order along J, and how many samples count."""
+    white = weighted(chain, np.concatenate([J, e[:, :, None]], axis=2), data.kept)
+    J, e = white[:, :-1], white[:, -1]
+    g = J.T @ e
+    return float(e @ e - g @ pseudo_inverse(J.T @ J) @ g), int(counted(data.kept).sum())
 
 
 @dataclass(frozen=True)
@@ -81,9 +70,8 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
     length = max(int(share * data.samples), 3 * states)
     head[:length] = data.kept[:length]
     here = Candidate(candidate.entries, (np.zeros(states),), candidate.terms)
-    first = len(here.entries)
     size = np.sqrt(np.mean(data.y[: data.samples] ** 2, axis=0))
-    size = np.where(size > 0, size, 1.0)[None, :]
+    size = np.where(size > 0, size, 1.0)
     best = None
     for _ in range(steps):
         y, J = simulator.run_and_jacobian(here, data)
@@ -94,10 +82,8 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
         if best is not None and not cost < best[0] * (1 - 1e-6):
             break
         best = cost, here
-        table = np.where(head[:, :, None], J[:, :, first : first + states], 0.0) / size[:, :, None]
-        table = table.reshape(-1, states)
-        step = pseudo_inverse(table.T @ table) @ (table.T @ (e / size).reshape(-1))
-        here = Candidate(here.entries, (here.x0[0] + step,), here.terms)
+        change = state_step(e, J[:, :, len(here.entries) :][:, :, :states], head, size)
+        here = Candidate(here.entries, (here.x0[0] + change,), here.terms)
     here = here if best is None else best[1]
     y = simulator.run(here, data)
     kept = data.kept & ~head
@@ -176,11 +162,14 @@ def significance(fit: Refit, layout: Layout, term: int) -> float:
 
 def at_bound(fit: Refit, term: int) -> str | None:
     """The parameter of a term that lies at a physical bound, None where none does."""
-    here = fit.candidate.terms[term]
-    for parameter, value in zip(here.effect.parameters, here.values):
-        if not parameter.counts:
+    effect, values = fit.candidate.terms[term].effect, np.array(fit.candidate.terms[term].values, dtype=float)
+    for k, parameter in enumerate(effect.parameters):
+        if not parameter.counts or not (np.isfinite(parameter.lower) or np.isfinite(parameter.upper)):
             continue
-        for bound in (parameter.lower, parameter.upper):
-            if np.isfinite(bound) and abs(float(value) - bound) <= 1e-9 * max(abs(bound), abs(float(value)), 1e-300):
+        for change in (-NUDGE, NUDGE):
+            beyond = values.copy()
+            beyond[k] += change * max(abs(values[k]), 1e-300)
+            held = effect.bounded(beyond)[k]
+            if abs(held - beyond[k]) >= 0.5 * abs(beyond[k] - values[k]) > 0:
                 return parameter.name
     return None

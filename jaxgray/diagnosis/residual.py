@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 
 from ..identification.validation import AR_ORDER, ar_coefficients
 from ..mechanics.statespace import StateSpace
-from ..numerics.lifting import respond
+from ..numerics.lifting import respond, respond_many
 from ..numerics.riccati import kalman_gain
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
@@ -30,6 +30,9 @@ SETTLING = 4 * AR_ORDER
 """Samples left out at the beginning, where the chain has no past yet."""
 
 _FLOOR = 1e-12
+
+ROWS, MOST_ROWS = 16, 64
+"""What is whitened at once: a multiple of the one, so that little is compiled, at most the other."""
 
 
 @dataclass(frozen=True)
@@ -51,31 +54,50 @@ class Chain:
 
     def whiten(self, X: Float[np.ndarray, "samples outputs columns"]) -> Float[np.ndarray, "samples outputs columns"]:
         """Residuals or features through the chain, columns apart."""
-        columns = X.shape[2]
-        width = -(-columns // 16) * 16
-        padded = np.zeros((*X.shape[:2], width))
-        padded[:, :, :columns] = X
-        arrays = (self.A, self.C, self.gain, self.coefficients, self.lower)
-        return np.asarray(_whiten(*map(jnp.asarray, arrays), jnp.asarray(padded)))[:, :, :columns]
+        everything = np.ones(X.shape[:2], bool)
+        return np.moveaxis(self.whiten_rows(np.moveaxis(X, 2, 0), everything, everything), 0, 2)
+
+    def whiten_rows(
+        self,
+        X: Float[np.ndarray, "rows samples outputs"],
+        kept: Bool[np.ndarray, "samples outputs"],
+        used: Bool[np.ndarray, "samples outputs"],
+    ) -> Float[np.ndarray, "rows samples outputs"]:
+        """Residuals or features through the chain, each a row of its own: what is not `kept` is zero before, what is
+        not `used` zero after it."""
+        if self.is_white:
+            return ((X * used).reshape(-1, X.shape[2]) @ np.linalg.inv(self.lower).T).reshape(X.shape)
+        arrays = [jnp.asarray(a) for a in (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)]
+        result = np.empty(X.shape)
+        for k in range(0, len(X), MOST_ROWS):
+            part = X[k : k + MOST_ROWS]
+            count, wanted = len(part), -(-len(part) // ROWS) * ROWS
+            if wanted > count:
+                part = np.concatenate([part, np.zeros((wanted - count, *X.shape[1:]))])
+            result[k : k + count] = np.asarray(_whiten(*arrays, jnp.asarray(part)))[:count]
+        return result
+
+    @property
+    def is_white(self) -> bool:
+        """Whether it does not filter, but only scales."""
+        return self.ratio == 0.0 and not np.any(self.coefficients[:, 1:]) and bool(np.all(self.coefficients[:, 0] == 1))
 
 
 @jax.jit
-def _innovations(A, C, gain, X):
-    outputs = C.shape[0]
-    closed = A - gain @ C
-    return jax.vmap(lambda e: respond(closed, gain, -C, jnp.eye(outputs), e), 2, 2)(X)
-
-
-@jax.jit
-def _whiten(A, C, gain, coefficients, lower, X):
-    E = _innovations(A, C, gain, X)
-    white = E * coefficients[:, 0][None, :, None]
-    for lag in range(1, coefficients.shape[1]):
-        late = jnp.concatenate([jnp.zeros_like(E[:lag]), E[:-lag]])
-        white = white + coefficients[:, lag][None, :, None] * late
-    flat = jnp.moveaxis(white, 1, 0).reshape(lower.shape[0], -1)
-    solved = jax.scipy.linalg.solve_triangular(lower, flat, lower=True)
-    return jnp.moveaxis(solved.reshape(white.shape[1], white.shape[0], white.shape[2]), 0, 1)
+def _whiten(A, C, gain, coefficients, lower, kept, used, X):
+    """The whole chain as one recursion: the innovations filter, and the innovations that the AR models remember."""
+    states, outputs, lags = A.shape[0], C.shape[0], coefficients.shape[1] - 1
+    inverse = jax.scipy.linalg.solve_triangular(lower, jnp.eye(outputs), lower=True)
+    seen = jnp.concatenate([-C, jnp.zeros((outputs, lags * outputs))], axis=1)
+    memory = jnp.eye(lags * outputs, k=-outputs)
+    step = jnp.block(
+        [[A - gain @ C, jnp.zeros((states, lags * outputs))], [jnp.zeros((lags * outputs, states)), memory]]
+    )
+    step = step.at[states : states + outputs].add(seen)
+    enter = jnp.concatenate([gain, jnp.eye(outputs), jnp.zeros(((lags - 1) * outputs, outputs))])
+    late = jnp.concatenate([jnp.zeros((outputs, states)), *(jnp.diag(c) for c in coefficients.T[1:])], axis=1)
+    now = coefficients[:, :1]
+    return respond_many(step, enter, inverse @ (now * seen + late), inverse * now.T, X * kept) * used
 
 
 @eqx.filter_jit

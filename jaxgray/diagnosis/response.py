@@ -19,7 +19,8 @@ from ..mechanics.effects.base import (
     Place,
     Term,
 )
-from ..mechanics.extended import Plant, Slots, changed_plant, held_input, motion_run, plant_run, sensed, slots_of
+from ..mechanics.extended import Plant, changed_plant, held_input, motion_run, plant_run, sensed, slots_of
+from ..mechanics.tangents import Directions, run_and_tangents
 from .problem import Candidate, Data, Setup, estimated
 
 DIRECTIONS = 8
@@ -100,20 +101,9 @@ def _motion(plant, x0, start, end, slots, sampling_time, laws, scheduling, subst
 
 @eqx.filter_jit
 def _run_and_derivative(plant, x0, start, end, slots, along, sampling_time, laws, scheduling, substeps):
-    """Outputs, and their derivatives along directions given as stacked tangents of everything."""
-
-    def run(changes):
-        dM, dD, dK, dx0, dslots, dstart, dend = changes
-        moved = Plant(plant.mass + dM, plant.damping + dD, plant.stiffness + dK, plant.drive, plant.measured)
-        here = slots if slots is None else Slots(slots.law, slots.arms, slots.channel, slots.values + dslots)
-        first = start if dstart is None else start + dstart
-        second = end if dend is None else end + dend
-        return plant_run(
-            moved, x0 + dx0, first, second, here, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
-        )
-
-    still = jax.tree.map(lambda x: jnp.zeros(x.shape[1:]), along)
-    return jax.vmap(lambda change: jax.jvp(run, (still,), (change,)), out_axes=(None, -1))(along)
+    return run_and_tangents(
+        plant, x0, start, end, slots, along, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
+    )
 
 
 @eqx.filter_jit
@@ -274,7 +264,7 @@ class Simulator:
             rows = []
             for parts in zip(*columns):
                 rows.append(None if parts[0] is None else np.stack(parts))
-            along = (*rows, dstart, dend)
+            along = Directions(*rows, dstart, dend)
             along = jax.tree.map(lambda X: _pad(X, count), along)
             return _run_and_derivative(
                 plant, x0, start, end, slots, along, _time(data), table, scheduling, self._steps(slots)

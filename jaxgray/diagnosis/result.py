@@ -10,8 +10,6 @@ from ..mechanics.effects.base import Term
 from ..mechanics.model import MechanicalModel
 from ..records import Record
 
-VERDICTS = ("named", "equivalent", "partly", "unexplained", "noise")
-
 
 @dataclass(frozen=True)
 class Estimate:

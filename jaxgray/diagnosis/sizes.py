@@ -9,6 +9,9 @@ from ..mechanics.extended import Plant, input_matrix_of
 from .features import Motion
 from .problem import Data
 
+LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)
+"""Quantiles of a size that shapes are tried at."""
+
 
 def scales_at(
     plant: Plant,
@@ -27,20 +30,19 @@ def scales_at(
     map_ = np.asarray(input_matrix_of(plant.drive))
     force = float(np.sqrt(np.mean((u @ map_.T) ** 2)))
     times = tuple(np.linspace(0.04, 0.96, 24) * n * data.sampling_time)
-    levels = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)
 
     def of(arm, u):
         q, v = motion.q[:n] @ arm, motion.v[:n] @ arm
         size = np.abs(u)
         return Scales(
-            _rms(q),
-            _rms(v),
+            root_mean_square(q),
+            root_mean_square(v),
             float(np.max(np.abs(q))),
             float(np.max(np.abs(v))),
-            tuple(float(x) for x in np.quantile(np.abs(q), levels)),
-            _rms(u),
+            tuple(float(x) for x in np.quantile(np.abs(q), LEVELS)),
+            root_mean_square(u),
             float(np.max(size)),
-            tuple(float(x) for x in np.quantile(size, levels)),
+            tuple(float(x) for x in np.quantile(size, LEVELS)),
             force,
             float(arm @ np.linalg.solve(M, arm)),
             data.sampling_time,
@@ -64,12 +66,13 @@ def scales_at(
         y = motion.y[:n, k]
         result["output", name] = dataclasses.replace(
             result["coordinate", name],
-            q=_rms(y),
+            q=root_mean_square(y),
             q_peak=float(np.max(np.abs(y))),
-            q_quantiles=tuple(float(x) for x in np.quantile(np.abs(y), levels)),
+            q_quantiles=tuple(float(x) for x in np.quantile(np.abs(y), LEVELS)),
         )
     return result
 
 
-def _rms(x) -> float:
+def root_mean_square(x) -> float:
+    """Root mean square about zero, never quite zero."""
     return float(max(np.sqrt(np.mean(np.square(x))), 1e-300))

@@ -100,12 +100,11 @@ def look(
     chain: Chain | None = None,
     surrogates: int = 100,
     rng: np.random.Generator | None = None,
-) -> tuple[Screening, Features]:
+) -> Screening:
     """The gate: every candidate with features from the simulated motion."""
     made = _features(stage, stage.motion, data, catalogue, names)
     start = white_chain(stage.e, data.kept, stage.system) if chain is None else chain
-    found = screen(stage.e, stage.J, data, made, stage.system, stage.force, start, surrogates=surrogates, rng=rng)
-    return found, made
+    return screen(stage.e, stage.J, data, made, stage.system, stage.force, start, surrogates=surrogates, rng=rng)
 
 
 def look_closer(

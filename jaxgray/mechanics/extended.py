@@ -1,44 +1,27 @@
 """Simulation of a linear mechanical system extended by effects.
 
-The linear part is exact at every step; effects that are forces enter by the exponential midpoint rule
-
-    x_h = e^{A h/2} x + (input) + Γ(h/2) f(x),      x⁺ = e^{A h} x + (input) + Γ(h) f(x_h),
-
-second order in the forces, with states of hysteresis advanced by exact steps of their own.
-
-**Reference:** Hochbruck & Ostermann, *Exponential integrators* (Acta Numerica, 2010), §2.3.
+The linear part is exact at every step; effects that are forces enter step by step (`trajectory`).
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.lifting import respond
 from .drives import AbstractDrive, Force
 from .effects.base import (
+    AbstractEffect,
     AbstractForceEffect,
     AbstractInputEffect,
     AbstractMatrixEffect,
     AbstractOutputEffect,
-    Local,
+    Place,
     Term,
 )
 from .statespace import hold_matrices
-from .step_rows import Plant, StepRows, local_rows
-
-
-class Slots(eqx.Module):
-    """Forces of a model, one row each, so that one compiled simulation serves all laws.
-
-    `law`: position in the table of laws; `arms`: unit vectors b; `channel`: input that the law reads, −1 for none;
-    `values`: parameters, padded.
-    """
-
-    law: Array
-    arms: Float[Array, "slots dofs"]
-    channel: Array
-    values: Float[Array, "slots parameters"]
+from .step_rows import Plant, local_rows
+from .trajectory import Sampler, Series, Slots, direct, first_state, trajectory
 
 
 def with_coordinates(drive: AbstractDrive, dofs: int) -> AbstractDrive:
@@ -53,32 +36,6 @@ def with_coordinates(drive: AbstractDrive, dofs: int) -> AbstractDrive:
 def input_matrix_of(drive: AbstractDrive) -> Float[Array, "dofs inputs"]:
     """Where the inputs act."""
     return drive.input_map if isinstance(drive, Force) else drive.direction
-
-
-def _force_switch(laws, memory: int):
-    """One force by its law's position in the table, and the same for the states it remembers."""
-
-    def branch(law):
-        return lambda p, here, z: jnp.asarray(law.force(p[: len(law.parameters)], here, z[: law.states]), dtype=float)
-
-    def advancing(law):
-        def advance(p, z, before, after, time):
-            if law.states == 0:
-                return z
-            new = law.advance(p[: len(law.parameters)], z[: law.states], before, after, time)
-            return z.at[: law.states].set(new)
-
-        return advance
-
-    forces, advances = [branch(law) for law in laws], [advancing(law) for law in laws]
-
-    def force(index, p, here, z):
-        return jax.lax.switch(index, forces, p, here, z)
-
-    def advance(index, p, z, before, after, time):
-        return jax.lax.switch(index, advances, p, z, before, after, time) if memory else z
-
-    return force, advance
 
 
 def plant_run(
@@ -108,18 +65,18 @@ def plant_run(
         B = jnp.concatenate([B0, B1], axis=1)
         feed = jnp.concatenate([system.D, jnp.zeros_like(system.D)], axis=1)
         both = jnp.concatenate([start, end], axis=1)
-        return respond(Ad, B, system.C, feed, both, _first_state(plant, x0, start[0], sampling_time))
-    x, f = trajectory(plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps)
+        return respond(Ad, B, system.C, feed, both, first_state(plant, x0, start[0], sampling_time))
     h = sampling_time / substeps
+    sampler = Sampler.of(plant, slots, sampling_time, laws, substeps)
+    series = Series.of(start, end, scheduling, sampling_time)
+    x, _, f = trajectory(sampler, first_state(plant, x0, start[0], h), series)
+    return outputs_of(plant, slots, x, f, start, h)
+
+
+def outputs_of(plant: Plant, slots: Slots, x, f, start, h) -> Float[Array, "samples outputs"]:
+    """Outputs from the states (q, T q̇), forces and inputs at every sample; `h` [s]: the T of the states."""
     system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, h)
-    return x @ system.C.T + start @ system.D.T + f @ _direct(plant, slots.arms).T
-
-
-def _first_state(plant: Plant, x0, u0, h):
-    """State of the linear part at the first sample: a measured base displacement takes part of the velocity out."""
-    dofs = plant.mass.shape[0]
-    speed = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, ("velocity",) * dofs, h)
-    return jnp.concatenate([x0[:dofs], x0[dofs:] * h - speed.D @ u0 * h])
+    return x @ system.C.T + start @ system.D.T + f @ direct(plant, slots.arms).T
 
 
 def motion_run(
@@ -134,109 +91,15 @@ def motion_run(
         Ad, B0, B1 = hold_matrices(system.A, system.B, 1.0, "linear")
         B = jnp.concatenate([B0, B1], axis=1)
         both = jnp.concatenate([start, end], axis=1)
-        first = _first_state(plant, x0, start[0], sampling_time)
+        first = first_state(plant, x0, start[0], sampling_time)
         x = respond(Ad, B, jnp.eye(2 * dofs), jnp.zeros((2 * dofs, both.shape[1])), both, first)
         substeps = 1
     else:
-        x, _ = trajectory(
-            plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
-        )
+        sampler = Sampler.of(plant, slots, sampling_time, laws, substeps)
+        series = Series.of(start, end, scheduling, sampling_time)
+        x, _, _ = trajectory(sampler, first_state(plant, x0, start[0], sampling_time / substeps), series)
     C, D = local_rows(plant, jnp.eye(dofs), sampling_time / substeps)
     return x @ C[0].T + start @ D[0].T, x @ C[1].T + start @ D[1].T
-
-
-def trajectory(
-    plant: Plant,
-    x0: Float[Array, " states"],
-    start: Float[Array, "samples inputs"],
-    end: Float[Array, "samples inputs"],
-    slots: Slots,
-    sampling_time: float,
-    *,
-    laws: tuple[AbstractForceEffect, ...],
-    scheduling: Float[Array, " samples"] | None = None,
-    substeps: int | Array = 1,
-) -> tuple[Float[Array, "samples states"], Float[Array, "samples slots"]]:
-    """States (q, T q̇), T the time of one step, and added forces at every sample.
-
-    **Arguments:** as for `plant_run`; `substeps` may be traced, and is then differentiable forwards only.
-    """
-    samples, count = start.shape[0], slots.arms.shape[0]
-    h, share = sampling_time / substeps, 1.0 / substeps
-    memory = max(law.states for law in laws)
-    force, advance = _force_switch(laws, memory)
-    rows = StepRows(plant, slots.arms, h)
-    compliance = jnp.einsum("si,is->s", slots.arms, jnp.linalg.solve(plant.mass, slots.arms.T))
-    yielding = -jnp.diag(rows.ending[count : 2 * count])
-
-    def read(u):
-        return jnp.where(slots.channel >= 0, u[:, jnp.maximum(slots.channel, 0)], 0.0)
-
-    p = jnp.zeros(samples) if scheduling is None else scheduling
-    rise = end - start
-    series = (
-        start @ rows.steady.T + share * (rise @ rows.rising.T),
-        rise @ rows.steady.T,
-        jnp.concatenate([read(start), p[:, None]], axis=1),
-        jnp.concatenate([read(rise), jnp.diff(p, append=p[-1:])[:, None]], axis=1),
-        jnp.arange(samples) * sampling_time,
-    )
-
-    def step(j, state, now):
-        x, z, first = state
-        base, slope, channels, change, t = now
-        fraction = j * share
-        row = jnp.sum(rows.states * x, axis=1) + base + fraction * slope
-        begin, middle, final, after = rows.split(row)
-
-        def local(s, motion, at, *within):
-            u = channels + (fraction + at * share) * change
-            return Local(
-                *motion[:, s], compliance[s], u[s], t + (fraction + at * share) * sampling_time, u[-1], *within
-            )
-
-        def each(function, *arguments):
-            return jnp.stack(
-                [function(slots.law[s], slots.values[s], *(a[s] for a in arguments)) for s in range(count)]
-            )
-
-        here = [local(s, begin, 0.0) for s in range(count)]
-        f0 = each(force, here, z)
-        middle = middle + _by(rows.halfway, f0)
-        free = final[1] + _by(rows.ending, f0)[1] + yielding * f0
-        there = [local(s, middle, 0.5, begin[1, s], free[s], yielding[s]) for s in range(count)]
-        zh = each(lambda k, v, z, a, b: advance(k, v, z, a, b, h / 2), z, here, there) if memory else z
-        f1 = each(force, there, zh)
-        if memory:
-            final = final + _by(rows.ending, f1)
-            beyond = [local(s, final, 1.0) for s in range(count)]
-            z = each(lambda k, v, z, a, b: advance(k, v, z, a, b, h), z, here, beyond)
-        return after + jnp.sum(rows.whole * f1, axis=1), z, jnp.where(j == 0, f0, first)
-
-    def sample(state, now):
-        x, z = state
-        begun = (x, z, jnp.zeros(count))
-        one = isinstance(substeps, int) and substeps == 1
-        new, z, f = (
-            step(0, begun, now) if one else jax.lax.fori_loop(0, substeps, lambda j, state: step(j, state, now), begun)
-        )
-        return (new, z), (x, f)
-
-    state = _first_state(plant, x0, start[0], h)
-    _, (x, f) = jax.lax.scan(sample, (state, jnp.zeros((count, memory))), series)
-    return x, f
-
-
-def _by(response, f):
-    """Motion (quantities × slots) that forces make."""
-    return jnp.sum(response * f, axis=1).reshape(3, -1)
-
-
-def _direct(plant: Plant, arms: Float[Array, "slots dofs"]) -> Float[Array, "outputs slots"]:
-    """What a force adds to measured accelerations at once."""
-    added = -jnp.linalg.solve(plant.mass, arms.T)
-    measured = jnp.asarray([kind == "acceleration" for kind in plant.measured])
-    return jnp.where(measured[:, None], added, 0.0)
 
 
 def held_input(u: Float[Array, "samples inputs"], hold: str) -> tuple[Array, Array]:
@@ -244,15 +107,20 @@ def held_input(u: Float[Array, "samples inputs"], hold: str) -> tuple[Array, Arr
     return u, u if hold == "zero" else jnp.concatenate([u[1:], u[-1:]])
 
 
-def arm_of(term: Term, plant: Plant) -> Float[Array, " dofs"]:
+def arm_along(effect: AbstractEffect, place: Place, input_map) -> Float[Array, " dofs"]:
     """Unit vector b along which a force acts: a coordinate, the difference of two, or where an input acts."""
-    dofs = plant.mass.shape[0]
-    if term.effect.places == "input":
-        return input_matrix_of(plant.drive)[:, term.place.first]
-    arm = jnp.zeros(dofs).at[term.place.first].set(1.0)
-    if term.place.second >= 0 and term.effect.places in ("spring", "pair"):
-        arm = arm.at[term.place.second].set(-1.0)
+    if effect.places == "input":
+        return input_map[:, place.first]
+    arm = np.zeros(len(input_map))
+    arm[place.first] = 1.0
+    if place.second >= 0 and effect.places in ("spring", "pair"):
+        arm[place.second] = -1.0
     return arm
+
+
+def arm_of(term: Term, plant: Plant) -> Float[Array, " dofs"]:
+    """Unit vector b along which a term's force acts."""
+    return jnp.asarray(arm_along(term.effect, term.place, input_matrix_of(plant.drive)))
 
 
 def slots_of(terms: tuple[Term, ...], plant: Plant, laws: tuple[AbstractForceEffect, ...]) -> Slots | None:

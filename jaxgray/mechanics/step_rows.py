@@ -32,33 +32,54 @@ def local_rows(
     return jnp.stack([arms @ row.C for row in rows]), jnp.stack([arms @ row.D for row in rows])
 
 
-class StepRows:
+class StepRows(eqx.Module):
     """What one step needs as rows of a table, so that a step is a few products: motion along the arms (displacement,
     velocity, acceleration) at the beginning, in the middle and at the end of the step, and the new state.
 
     `states`: by the state; `steady`, `rising`: by an input held, and by its rise over the step; `halfway`, `ending`:
-    motion in the middle and at the end by forces held from the beginning; `whole`: new state by such forces.
+    motion in the middle and at the end by forces held from the beginning; `whole`: new state by such forces;
+    `compliance`: acceleration along each arm by a unit force there; `yielding`: velocity that a unit force takes back
+    within the step.
     """
 
-    def __init__(self, plant: Plant, arms: Float[Array, "slots dofs"], h):
+    states: Float[Array, "rows states"]
+    steady: Float[Array, "rows inputs"]
+    rising: Float[Array, "rows inputs"]
+    halfway: Float[Array, "motions slots"]
+    ending: Float[Array, "motions slots"]
+    whole: Float[Array, "states slots"]
+    compliance: Float[Array, " slots"]
+    yielding: Float[Array, " slots"]
+
+    @classmethod
+    def of(cls, plant: Plant, arms: Float[Array, "slots dofs"], h) -> "StepRows":
+        """The rows for steps of `h` [s] with forces along `arms`."""
         system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, h)
         inputs, slots = system.B.shape[1], arms.shape[0]
-        pushes = -jnp.linalg.solve(plant.mass, arms.T) * h**2
+        moved = jnp.linalg.solve(plant.mass, arms.T)
+        pushes = -moved * h**2
         B = jnp.concatenate([system.B, jnp.concatenate([jnp.zeros_like(pushes), pushes])], axis=1)
         # The input and every force, held over a step, in one exponential each for the half and the whole step.
         Ad, B0, B1 = hold_matrices(system.A, B, 1.0, "linear")
         Ah, H0, H1 = hold_matrices(system.A, B, 0.5, "linear")
         C, D = (X.reshape(3 * slots, -1) for X in local_rows(plant, arms, h))
-        self.counts = (3 * slots, 6 * slots, 9 * slots)
-        self.states = jnp.concatenate([C, C @ Ah, C @ Ad, Ad])
         held, half = B0 + B1, H0 + H1
-        self.steady = jnp.concatenate([D, C @ half[:, :inputs] + D, C @ held[:, :inputs] + D, held[:, :inputs]])
         late, late_half = B1[:, :inputs], H1[:, :inputs] / 2
-        self.rising = jnp.concatenate([jnp.zeros_like(D), C @ late_half + D / 2, C @ late + D, late])
-        self.whole = held[:, inputs:]
-        self.halfway, self.ending = C @ half[:, inputs:], C @ self.whole
+        whole = held[:, inputs:]
+        ending = C @ whole
+        return cls(
+            states=jnp.concatenate([C, C @ Ah, C @ Ad, Ad]),
+            steady=jnp.concatenate([D, C @ half[:, :inputs] + D, C @ held[:, :inputs] + D, held[:, :inputs]]),
+            rising=jnp.concatenate([jnp.zeros_like(D), C @ late_half + D / 2, C @ late + D, late]),
+            halfway=C @ half[:, inputs:],
+            ending=ending,
+            whole=whole,
+            compliance=jnp.einsum("si,is->s", arms, moved),
+            yielding=-jnp.diag(ending[slots : 2 * slots]),
+        )
 
     def split(self, row):
         """Motion at the beginning, in the middle, at the end, each quantities × slots, and the new state."""
-        a, b, c = self.counts
-        return row[:a].reshape(3, -1), row[a:b].reshape(3, -1), row[b:c].reshape(3, -1), row[c:]
+        count = self.ending.shape[0]
+        begin, middle, final = (row[k * count : (k + 1) * count].reshape(3, -1) for k in range(3))
+        return begin, middle, final, row[3 * count :]

@@ -130,6 +130,36 @@ def respond(
     return y.reshape(-1, outputs)[:samples]
 
 
+def respond_many(
+    A: Float[Array, "states states"],
+    B: Float[Array, "states inputs"],
+    C: Float[Array, "outputs states"],
+    D: Float[Array, "outputs inputs"],
+    u: Float[Array, "rows samples inputs"],
+    *,
+    block: int = BLOCK,
+) -> Float[Array, "rows samples outputs"]:
+    """Responses from rest to many inputs, all through the same block products.
+
+    **Arguments:** as for `respond`; `u`: one input a row.
+
+    **Returns:** the outputs, one response a row.
+    """
+    rows, samples, inputs = u.shape
+    states, outputs = A.shape[0], C.shape[0]
+    system = lift(A, B, C, D, block=block)
+    padded = jnp.pad(u, ((0, 0), (0, -samples % block), (0, 0))).reshape(-1, block * inputs)
+    drive = (padded @ system.reachability.T).reshape(rows, -1, states)
+
+    def step(x, r):
+        return x @ system.transition.T + r, x
+
+    starts = jax.lax.scan(step, jnp.zeros((rows, states)), jnp.swapaxes(drive, 0, 1))[1]
+    starts = jnp.swapaxes(starts, 0, 1).reshape(-1, states)
+    y = padded @ system.toeplitz.T + starts @ system.observability.T
+    return y.reshape(rows, -1, outputs)[:, :samples]
+
+
 def free_response(
     A: Float[Array, "states states"], C: Float[Array, "outputs states"], samples: int
 ) -> Float[Array, "samples outputs states"]:

@@ -84,7 +84,7 @@ class ClarabelSolver(AbstractPositiveSolver):
 
         free = _unconstrained(problem)
         floors = np.asarray(problem.floors)
-        if np.all(np.isfinite(free)) and _inside(free, problem.sizes, floors):
+        if np.all(np.isfinite(free)) and inside_cone(free, problem.sizes, floors):
             return free
         P = np.asarray(problem.quadratic)
         q = np.asarray(problem.linear)
@@ -138,7 +138,7 @@ def _unconstrained(problem: PositiveLeastSquares) -> np.ndarray:
         return np.full(len(target), np.nan)
 
 
-def _inside(z: np.ndarray, sizes: tuple[int, ...], floors: np.ndarray) -> bool:
+def inside_cone(z: np.ndarray, sizes: tuple[int, ...], floors: np.ndarray) -> bool:
     """Whether every block lies above its floor."""
     ends = np.cumsum([n * (n + 1) // 2 for n in sizes])
     for n, floor, part in zip(sizes, floors, np.split(z, ends[:-1])):

@@ -122,6 +122,12 @@ class StribeckFriction(AbstractForceEffect):
     def shapes(self, scales):
         return [np.array([1.0, 1.0, part * scales.v, WIDTH * scales.v]) for part in (0.1, 0.3, 1.0)]
 
+    def bounded(self, p):
+        # Narrower than the sign's own turn it would be the shape of that turn.
+        p = super().bounded(p)
+        p[2] = max(p[2], 2 * p[3])
+        return p
+
     def force(self, p, here, z):
         near_rest = jnp.exp(-(ratio(here.v, p[2]) ** 2))
         size = p[0] * (1.0 - near_rest) + p[1] * near_rest

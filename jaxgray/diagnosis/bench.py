@@ -1,0 +1,43 @@
+"""What the loop of a diagnosis works with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..mechanics.effects.base import AbstractEffect
+from ..numerics.progress import AbstractProgress
+from .extension import Refit
+from .problem import Data
+from .residual import Chain, estimate_chain
+from .response import Simulator
+from .stage import sampled_plant
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What the loop works with.
+
+    `simulator`; `data` of estimation and of validation; `catalogue`; `names` of inputs and outputs; `held`: entries
+    that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
+    of its own; `rng`; `progress`.
+    """
+
+    simulator: Simulator
+    data: list[Data]
+    validation: list[Data]
+    catalogue: tuple[AbstractEffect, ...]
+    names: tuple[tuple[str, ...], tuple[str, ...]]
+    held: np.ndarray
+    floor: np.ndarray | None
+    separate: bool
+    rng: np.random.Generator
+    progress: AbstractProgress
+
+
+def chain_of(bench: Bench, fit: Refit) -> Chain:
+    """The whitening chain of what a refit leaves of the first record."""
+    data = bench.data[0]
+    plant = bench.simulator.plant(fit.candidate)
+    system = sampled_plant(plant, data, bench.simulator.setup.dofs)
+    force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
+    return estimate_chain(fit.residual[0], data.kept, system, force)

@@ -1,0 +1,65 @@
+"""Which candidates are worth a refit, and from which shapes each begins."""
+
+import numpy as np
+
+from .competitor import FlexibleForce
+from .judgement import ACCEPTED
+from .screening import Score, Screening
+
+TRIED = 4
+"""Candidates that are refitted in a round."""
+
+SAME = 0.05
+"""Relative difference of estimated shape parameters up to which two starts are one."""
+
+
+def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
+    """Candidates worth a refit, each with the shapes to start from: best by measured motion, then by simulated."""
+    near, far = closer.best_by_place(), screening.best_by_place()
+    white = {}
+    for score in screening.first:
+        white.setdefault((score.shape.effect.id, score.shape.place.name), score)
+    chosen: dict[tuple[str, str], list[Score]] = {}
+
+    def add(ranking, count):
+        ids = {key[0] for key in chosen}
+        for key, score in ranking.items():
+            if count == 0 or score.delta_bic < ACCEPTED:
+                return
+            if key in chosen or key[0] in ids or key[0] == FlexibleForce.id:
+                continue
+            ids.add(key[0])
+            chosen[key] = []
+            count -= 1
+
+    add(near, 3)
+    add(far, 1 if chosen else 3)
+    add(white, 1 if chosen else 3)
+    # A law that turns into a simpler one is only worth what it explains beyond that.
+    for effect, place in [
+        (score.shape.effect, key[1]) for key, score in [*near.items(), *far.items(), *white.items()] if key in chosen
+    ]:
+        for simpler in effect.contains:
+            known = any((simpler, place) in table for table in (near, far, white))
+            if known and (simpler, place) not in chosen:
+                chosen[simpler, place] = []
+    # Another place for the best effect: neighbours are easily taken for each other.
+    if near:
+        first = next(iter(near))
+        for key, score in near.items():
+            if key[0] == first[0] and key not in chosen and score.delta_bic > ACCEPTED and len(chosen) < TRIED + 1:
+                chosen[key] = []
+                break
+    for key, scores in chosen.items():
+        for table in (near, far, white):
+            if key in table and not any(_same(table[key], s) for s in scores):
+                scores.append(table[key])
+        del scores[2:]
+    return list(chosen.values())
+
+
+def _same(one: Score, other: Score) -> bool:
+    """Whether two scores are of one shape, as far as a refit moves it: amplitudes find their size in a step or two."""
+    moving = [p.counts and not p.amplitude for p in one.shape.effect.parameters]
+    a, b = one.shape.values[moving], other.shape.values[moving]
+    return bool(np.all(np.abs(a - b) <= SAME * np.maximum(np.abs(a), np.abs(b))))

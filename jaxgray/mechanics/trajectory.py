@@ -1,0 +1,187 @@
+"""States of the linear plant with added forces, sample by sample, by the exponential midpoint rule
+
+    x_h = e^{A h/2} x + (input) + Γ(h/2) f(x),      x⁺ = e^{A h} x + (input) + Γ(h) f(x_h),
+
+second order in the forces, with states of hysteresis advanced by exact steps of their own.
+
+**Reference:** Hochbruck & Ostermann, *Exponential integrators* (Acta Numerica, 2010), §2.3.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .effects.base import AbstractForceEffect, Local
+from .step_rows import Plant, StepRows
+
+
+class Slots(eqx.Module):
+    """Forces of a model, one row each, so that one compiled simulation serves all laws.
+
+    `law`: position in the table of laws; `arms`: unit vectors b; `channel`: input that the law reads, −1 for none;
+    `values`: parameters, padded.
+    """
+
+    law: Array
+    arms: Float[Array, "slots dofs"]
+    channel: Array
+    values: Float[Array, "slots parameters"]
+
+
+class Series(eqx.Module):
+    """What drives every sample: input at its start and its rise, the scheduling channel likewise, and the time [s]."""
+
+    start: Float[Array, "samples inputs"]
+    rise: Float[Array, "samples inputs"]
+    scheduling: Float[Array, " samples"]
+    change: Float[Array, " samples"]
+    time: Float[Array, " samples"]
+
+    @classmethod
+    def of(cls, start, end, scheduling, sampling_time) -> "Series":
+        """From inputs at start and end of every sample; `scheduling`: None for none."""
+        p = jnp.zeros(len(start)) if scheduling is None else scheduling
+        return cls(start, end - start, p, jnp.diff(p, append=p[-1:]), jnp.arange(len(start)) * sampling_time)
+
+
+class Sampler(eqx.Module):
+    """One sample of the simulation: (x, z) at its beginning to (x, z) at its end.
+
+    x is the state (q, T q̇) of the plant, T the time of one step; z what the forces remember, slots × memory.
+
+    `rows`; `slots`; `sampling_time` [s]; `substeps`: steps per sample, may be traced; `laws`: table that `slots.law`
+    points into.
+    """
+
+    rows: StepRows
+    slots: Slots
+    sampling_time: Array
+    substeps: int | Array
+    laws: tuple[AbstractForceEffect, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, plant: Plant, slots: Slots, sampling_time, laws, substeps) -> "Sampler":
+        """The sampler of a plant with forces."""
+        rows = StepRows.of(plant, slots.arms, sampling_time / substeps)
+        return cls(rows, slots, jnp.asarray(sampling_time), substeps, laws)
+
+    @property
+    def memory(self) -> int:
+        """States that a force of the table remembers at most."""
+        return max(law.states for law in self.laws)
+
+    @property
+    def rest(self) -> Float[Array, "slots memory"]:
+        """What the forces remember at the first sample."""
+        return jnp.zeros((self.slots.arms.shape[0], self.memory))
+
+    def driven(self, series: Series) -> tuple[Array, ...]:
+        """What the steps of every sample take from the series, samples first."""
+        share = 1.0 / self.substeps
+
+        def read(u):
+            return jnp.where(self.slots.channel >= 0, u[:, jnp.maximum(self.slots.channel, 0)], 0.0)
+
+        return (
+            series.start @ self.rows.steady.T + share * (series.rise @ self.rows.rising.T),
+            series.rise @ self.rows.steady.T,
+            jnp.concatenate([read(series.start), series.scheduling[:, None]], axis=1),
+            jnp.concatenate([read(series.rise), series.change[:, None]], axis=1),
+            series.time,
+        )
+
+    def __call__(self, x, z, driven):
+        """New x and z, and the forces at the beginning."""
+        begun = (x, z, jnp.zeros(self.slots.arms.shape[0]))
+        if isinstance(self.substeps, int) and self.substeps == 1:
+            return self._step(0, begun, driven)
+        return jax.lax.fori_loop(0, self.substeps, lambda j, state: self._step(j, state, driven), begun)
+
+    def _step(self, j, state, driven):
+        x, z, first = state
+        base, slope, channels, change, t = driven
+        rows, count, share = self.rows, self.slots.arms.shape[0], 1.0 / self.substeps
+        h, fraction = self.sampling_time * share, j * share
+        row = jnp.sum(rows.states * x, axis=1) + base + fraction * slope
+        begin, middle, final, after = rows.split(row)
+
+        def local(s, motion, at, *within):
+            u = channels + (fraction + at * share) * change
+            now = t + (fraction + at * share) * self.sampling_time
+            return Local(*motion[:, s], rows.compliance[s], u[s], now, u[-1], *within)
+
+        here = [local(s, begin, 0.0) for s in range(count)]
+        f0 = self._forces(here, z)
+        middle = middle + _by(rows.halfway, f0)
+        free = final[1] + _by(rows.ending, f0)[1] + rows.yielding * f0
+        there = [local(s, middle, 0.5, begin[1, s], free[s], rows.yielding[s]) for s in range(count)]
+        f1 = self._forces(there, self._advanced(z, here, there, h / 2))
+        if self.memory:
+            final = final + _by(rows.ending, f1)
+            z = self._advanced(z, here, [local(s, final, 1.0) for s in range(count)], h)
+        return after + jnp.sum(rows.whole * f1, axis=1), z, jnp.where(j == 0, f0, first)
+
+    def _forces(self, here: list[Local], z):
+        def branch(law):
+            return lambda p, here, z: jnp.asarray(
+                law.force(p[: len(law.parameters)], here, z[: law.states]), dtype=float
+            )
+
+        forces, slots = [branch(law) for law in self.laws], self.slots
+        return jnp.stack(
+            [jax.lax.switch(slots.law[s], forces, slots.values[s], one, z[s]) for s, one in enumerate(here)]
+        )
+
+    def _advanced(self, z, before: list[Local], after: list[Local], time):
+        if not self.memory:
+            return z
+
+        def branch(law):
+            def advance(p, z, before, after):
+                if law.states == 0:
+                    return z
+                new = law.advance(p[: len(law.parameters)], z[: law.states], before, after, time)
+                return z.at[: law.states].set(new)
+
+            return advance
+
+        advances, slots = [branch(law) for law in self.laws], self.slots
+        return jnp.stack(
+            [
+                jax.lax.switch(slots.law[s], advances, slots.values[s], z[s], *both)
+                for s, both in enumerate(zip(before, after))
+            ]
+        )
+
+
+def _by(response, f):
+    """Motion (quantities × slots) that forces make."""
+    return jnp.sum(response * f, axis=1).reshape(3, -1)
+
+
+def first_state(plant: Plant, x0, u0, h):
+    """State of the linear part at the first sample: a measured base displacement takes part of the velocity out."""
+    dofs = plant.mass.shape[0]
+    speed = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, ("velocity",) * dofs, h)
+    return jnp.concatenate([x0[:dofs], x0[dofs:] * h - speed.D @ u0 * h])
+
+
+def trajectory(
+    sampler: Sampler, x0: Float[Array, " states"], series: Series
+) -> tuple[Float[Array, "samples states"], Float[Array, "samples slots memory"], Float[Array, "samples slots"]]:
+    """States x and z and added forces at every sample, from x0 = (q, T q̇); see `Sampler`."""
+
+    def sample(state, driven):
+        x, z = state
+        new, remembered, f = sampler(x, z, driven)
+        return (new, remembered), (x, z, f)
+
+    return jax.lax.scan(sample, (x0, sampler.rest), sampler.driven(series))[1]
+
+
+def direct(plant: Plant, arms: Float[Array, "slots dofs"]) -> Float[Array, "outputs slots"]:
+    """What a force adds to measured accelerations at once."""
+    added = -jnp.linalg.solve(plant.mass, arms.T)
+    measured = jnp.asarray([kind == "acceleration" for kind in plant.measured])
+    return jnp.where(measured[:, None], added, 0.0)
