@@ -70,12 +70,23 @@ class Finding:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A candidate that passed the gate and was not taken."""
+    """A candidate that passed the gate and was not taken; `gain` and `parameters` of its refit, where there was one."""
 
     effect: str
     location: str
     delta_bic: float
     why: str
+    gain: Gain | None = None
+    parameters: dict[str, Estimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Gated:
+    """A candidate at the first look: its evidence by a linear response to the simulated motion."""
+
+    effect: str
+    location: str
+    delta_bic: float
 
 
 @dataclass(frozen=True)
@@ -181,6 +192,7 @@ class Diagnosis:
     identification: Identification | None = field(repr=False)
     terms: tuple[Term, ...] = ()
     own_model: bool = False
+    gate: tuple[Gated, ...] = ()
 
     @property
     def sentence(self) -> str:

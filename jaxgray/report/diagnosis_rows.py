@@ -1,11 +1,16 @@
 """The tables of a diagnosis, from its document: findings, errors, shifts, budget, what was rejected or not found."""
 
-from ..diagnosis.words import entry_of, place_of, times, title_of, value_text
+import re
+
+from ..diagnosis.words import NAMES, entry_of, place_of, times, title_of, value_text
 from ..numerics.text import plus_minus
 from .identification_rows import MATRICES
 from .rows import Rows, number
 
-FREE_RUN = {"validation": "held out", "estimation": "data of the fit"}
+_ID = re.compile(r"\b[a-z]+(_[a-z]+)+\b")
+
+COUNTS = 10.0
+"""ΔBIC at the gate from which a candidate is listed though it was not refitted."""
 
 
 def output_names(document: dict) -> tuple[str, ...]:
@@ -55,6 +60,12 @@ def gain_words(gain: dict | None) -> str:
     low, high = gain["ci95"]
     interval = "" if low is None or high is None else f" ({low:.1f} to {high:.1f})"
     return f"{gain['percent']:.1f} %{interval}" + ("" if gain["held_out"] else ", in-sample")
+
+
+def estimated(parameters: dict) -> dict:
+    """Parameters that were estimated, or are words; all where none was."""
+    told = {k: e for k, e in parameters.items() if e["standard_error"] is not None or isinstance(e["value"], str)}
+    return told or parameters
 
 
 def parameter_lines(parameters: dict, *, fixed: bool = True) -> str:
@@ -153,6 +164,65 @@ def rejected_rows(document: dict) -> Rows:
         for one in rows
     )
     return Rows(("rejected", "ΔBIC", "why"), body, frozenset({0, 2}))
+
+
+def candidates(document: dict) -> list[dict]:
+    """Every candidate that was looked at closely: findings with their classes, what was rejected, what passed the gate.
+
+    **Returns:** one dictionary each, by its evidence: `effect`, `location`, `gate` and `refit` (ΔBIC, None where there
+    is none), `parameters`, `gain`, `status`, `why`.
+    """
+    gate = {(one["effect"], one["location"]): one["delta_bic"] for one in document["gate"]}
+    found: dict[tuple[str, str], dict] = {}
+
+    def add(one: dict, **more) -> None:
+        name = one["effect"], one["location"]
+        empty = {"refit": one["delta_bic"], "gate": gate.get(name), "parameters": {}, "gain": None, "why": ""}
+        found.setdefault(name, {"effect": name[0], "location": name[1], **empty, **more})
+
+    for finding in document["findings"]:
+        if finding["stage"] == "model" and finding["delta_bic"] is not None:
+            add(finding, parameters=finding["parameters"], gain=finding["gain"], status=finding["status"])
+            for member in rivals(finding):
+                below = None if member["delta_bic"] is None else finding["delta_bic"] + member["delta_bic"]
+                why = "this record cannot tell it from the finding"
+                add(member, refit=below, parameters=member["parameters"], status="in the class", why=why)
+    for one in document["rejected"]:
+        add(one, parameters=one["parameters"], gain=one["gain"], status="rejected", why=one["why"])
+    for one in document["gate"]:
+        if (one["delta_bic"] or 0) >= COUNTS:
+            add(one, refit=None, status="not refitted", why="others explained more")
+    least = -float("inf")
+    return sorted(
+        found.values(),
+        key=lambda row: tuple(least if row[key] is None else row[key] for key in ("refit", "gate")),
+        reverse=True,
+    )
+
+
+def in_words(text: str) -> str:
+    """A reason with names for the ids of effects."""
+    return _ID.sub(lambda found: NAMES.get(found[0], found[0]), text)
+
+
+def candidate_rows(document: dict) -> Rows:
+    """The ranking of the candidates."""
+    names = output_names(document)
+    body = tuple(
+        (
+            title_of(row["effect"], "", names),
+            row["location"],
+            number(row["gate"], "{:.0f}"),
+            number(row["refit"], "{:.0f}"),
+            parameter_lines(estimated(row["parameters"]), fixed=False) or "–",
+            gain_words(row["gain"]),
+            row["status"],
+            in_words(row["why"]),
+        )
+        for row in candidates(document)
+    )
+    head = "candidate", "place", "ΔBIC gate", "ΔBIC refit", "size ± standard error", "gain (95 %)", "status", "why not"
+    return Rows(head, body, frozenset({0, 1, 4, 5, 6, 7}))
 
 
 def not_found_rows(document: dict) -> Rows:
