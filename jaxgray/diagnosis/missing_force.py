@@ -16,7 +16,7 @@ from ..mechanics.extended import input_matrix_of
 from .force_rows import Series, arm_at, band_of, contribution, series_of
 from .result import Curves, Diagnosis, Finding
 
-MOST_ROWS = 3000
+MOST_ROWS = 1500
 """Rows kept at most: enough to see a law by."""
 
 
@@ -94,12 +94,13 @@ class _Equation:
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> "_Equation | None":
-        """None where forces cannot be had from the record: a driven base, measured accelerations."""
+        """None where forces cannot be had from the record: a static gain, a driven base, measured accelerations."""
         model = (diagnosis.extended or diagnosis.baseline).model
         record = diagnosis.records[0]
-        if not isinstance(model.drive, Force) or "acceleration" in record.measured:
+        static = not np.any(np.asarray(model.mass))
+        if static or not isinstance(model.drive, Force) or "acceleration" in record.measured:
             return None
-        cutoff = min(band_of(np.nan_to_num(y), record.sampling_time) for y in [record.y])
+        cutoff = band_of(np.nan_to_num(record.y), record.sampling_time)
         series = series_of(record, cutoff, at_rest=True)
         if len(series.rows) < 10:
             return None
@@ -190,12 +191,16 @@ class _Equation:
             reach = np.abs(self.input_map.T @ arm)
             channel = int(np.argmax(reach)) if reach.any() else 0
         parts = [
-            (f"displacement of {place}", unit, (series.q @ away)[rows]),
-            (f"velocity of {place}", f"{unit}/s" if unit else "", (series.v @ away)[rows]),
+            (_of("displacement", place), unit, (series.q @ away)[rows]),
+            (_of("velocity", place), f"{unit}/s" if unit else "", (series.v @ away)[rows]),
             ("time", "s", record.time[rows]),
             (f"input {record.input_names[channel]}", record.input_units[channel], series.input_rows[:, channel]),
         ]
         return tuple(Variable(name, unit, np.asarray(values)[kept]) for name, unit, values in parts)
+
+
+def _of(quantity: str, place: str) -> str:
+    return quantity if place in (quantity, "position") else f"{quantity} of {place}"
 
 
 def _as_output(diagnosis: Diagnosis, term: Term) -> MissingForce:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ..identification import Identification
 from ..mechanics.effects.base import Term
 from ..mechanics.model import MechanicalModel
+from ..numerics.notebook import Shown
 from ..records import Record
 
 VERDICTS = ("named", "equivalent", "partly", "unexplained", "noise")
@@ -155,7 +156,7 @@ class NextExperiment:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Shown):
     """What the simulation gets wrong, why, and what mending it buys.
 
     `verdict`: the worst over the findings; `baseline`: the linear model (or the user's own); `noise_floor` per output

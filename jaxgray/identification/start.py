@@ -178,7 +178,7 @@ def subspace_start(
                 int(block_rows[index[1]]),
                 np.asarray(chosen.realization.singular_values),
                 table,
-                (tuple(map(float, time_constants)), tuple(map(int, block_rows))),
+                (tuple(np.asarray(time_constants, float).tolist()), tuple(int(i) for i in block_rows)),
             )
             if np.isfinite(here.score) and (best is None or here.score > best.score):
                 best = here

@@ -206,7 +206,7 @@ def in_words(text: str) -> str:
 
 
 def candidate_rows(document: dict) -> Rows:
-    """The ranking of the candidates."""
+    """The ranking of the candidates, without columns that have nothing to tell."""
     names = output_names(document)
     body = tuple(
         (
@@ -222,7 +222,9 @@ def candidate_rows(document: dict) -> Rows:
         for row in candidates(document)
     )
     head = "candidate", "place", "ΔBIC gate", "ΔBIC refit", "size ± standard error", "gain (95 %)", "status", "why not"
-    return Rows(head, body, frozenset({0, 1, 4, 5, 6, 7}))
+    told = [k for k in range(len(head)) if k < 2 or any(row[k] not in ("", "–") for row in body)]
+    words = frozenset(new for new, k in enumerate(told) if k not in (2, 3))
+    return Rows(tuple(head[k] for k in told), tuple(tuple(row[k] for k in told) for row in body), words)
 
 
 def not_found_rows(document: dict) -> Rows:

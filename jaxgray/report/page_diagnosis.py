@@ -88,12 +88,18 @@ def _summary(document: dict, causes: int) -> tuple[Fact, ...]:
     extended = document["extended"]
     facts = [Fact("Error before", _times(before), "the noise floor, over all outputs")]
     if extended is not None:
-        facts.append(Fact("Error after", _times(after), "the noise floor; 1 is noise alone"))
+        facts.append(Fact("Error after", _times(after), _after(document)))
         if causes > 1:
             facts.append(Fact("All together take off", gain_words(extended["gain"]), "of the error"))
     left = "white" if document["remaining"]["white"] else "not white"
     facts.append(Fact("What is left", left, ", ".join(document["remaining"]["depends_on"])))
     return tuple(facts)
+
+
+def _after(document: dict) -> str:
+    """What the error after is measured by."""
+    own = document["baseline"]["noise_floor_source"].startswith("residual of the final")
+    return "the noise floor, which is taken from what is left" if own else "the noise floor; 1 is noise alone"
 
 
 def _times(excess: float | None) -> str:
@@ -123,19 +129,20 @@ def _sections(diagnosis: Diagnosis, document: dict):
         "a model that lacks nothing stays inside.",
         tuple(over_time_plots(diagnosis)),
     )
+    windows = "windows" in document["baseline"]["noise_floor_source"]
     yield Section(
         "spectra",
         "Spectra",
-        "Where in frequency the error lies, before and after. What lies on the dashed line is noise.",
+        "Where in frequency the error lies, before and after. What lies on the dashed line is noise."
+        + (" Free runs start anew in every window; their jumps spread over all frequencies." if windows else ""),
         tuple(spectrum_plots(diagnosis)),
     )
     forces = missing_force_plots(diagnosis)
     yield Section(
         "missing",
         "What the model lacks, against what it depends on",
-        "What was measured and the linear part does not account for, other findings taken out. Dots: samples; marks: "
-        "their means over equal counts; line: the law that was found, on the same motion. A law fits where line and "
-        "marks agree against every variable.",
+        "What was measured and the linear part does not account for, other findings taken out. The law that was found "
+        "is drawn on the same motion: as a line where one variable decides it, else as points.",
         tuple(forces),
     )
     ranked = candidate_rows(document)

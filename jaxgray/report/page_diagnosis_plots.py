@@ -6,12 +6,10 @@ from ..diagnosis.missing_force import MissingForce, Variable, missing_forces
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.spectra import Spectra, spectra
 from ..diagnosis.words import title_of
+from .binning import binned, decided_by
 from .diagnosis_rows import budget_name, output_names
 from .page_parts import Plot, axis, labelled, over_time, packed, stretch_for
 from .time_plots import Channel, Run, closer, stretches, whole
-
-BINS = 40
-"""Stretches of a variable over which a missing force is averaged."""
 
 OF_EACH = 4
 """Outputs up to which every one is shown closely; of more, the worst alone."""
@@ -47,16 +45,16 @@ def over_time_plots(diagnosis: Diagnosis) -> list[Plot]:
 def spectrum_plots(diagnosis: Diagnosis) -> list[Plot]:
     """Spectra of the output and of the errors before and after, beside the noise floor."""
     made, model = spectra(diagnosis), diagnosis.baseline.model
-    first = "error of your model" if diagnosis.own_model else "error of the linear model"
+    first = "error of your model" if diagnosis.own_model else "error of linear model"
     parts = [("measured", "@measured", made.measured), (first, "@before", made.before)]
     if diagnosis.extended is not None:
-        parts.append(("error of the extended model", "@after", made.after))
+        parts.append(("error of extended model", "@after", made.after))
     plots = []
     for k, (name, unit) in enumerate(zip(model.output_names, model.output_units)):
         traces = []
         for label, colour, values in parts:
             traces += _spectrum(made, label, colour, values[:, k])
-        ends = [float(made.frequency_hz[0]), float(made.frequency_hz[-1])]
+        ends = [float(made.frequency_hz[0]) * (1.0 if made.period is None else 0.85), float(made.frequency_hz[-1])]
         level = float(made.floor[k])
         if np.isfinite(level):
             dashed = {"color": "@text", "width": 1.5, "dash": "dash"}
@@ -69,7 +67,18 @@ def spectrum_plots(diagnosis: Diagnosis) -> list[Plot]:
         }
         alt = f"Spectrum of {name}: measured, errors before and after the extension, and the noise floor."
         half = model.dofs > 1
-        plots.append(Plot(f"spectrum-{k}", traces, layout, 340, alt, f"Output {name}.", linked="frequency", half=half))
+        plots.append(
+            Plot(
+                f"spectrum-{k}",
+                traces,
+                layout,
+                340,
+                alt,
+                f"Output {name}.",
+                linked="frequency",
+                width="half" if half else "",
+            )
+        )
     return plots
 
 
@@ -109,36 +118,19 @@ def missing_force_plots(diagnosis: Diagnosis) -> list[Plot]:
 
 
 def _against(one: MissingForce, variable: Variable, name: str, title: str) -> Plot:
-    noun = NOUN[one.quantity]
-    points = {"x": packed(variable.values), "y": packed(one.missing), "mode": "markers", "hoverinfo": "skip"}
-    traces = [
-        {**points, "name": f"{noun}, sample by sample", "marker": {"color": "@measured", "size": 3, "opacity": 0.45}}
-    ]
-    centre, mean, spread = binned(variable.values, one.missing)
-    if one.law is not None:
-        # How far the means are uncertain beside the law: what the law itself varies by in a bin is no error.
-        spread = binned(variable.values, one.missing - one.law)[2]
-    bars = {"type": "data", "array": (2 * spread).tolist(), "color": "@before", "thickness": 1.2, "width": 2}
-    if one.law is not None:
-        at, law, _ = binned(variable.values, one.law)
-        if one.error is not None and np.any(one.error > 0):
-            reach = 2 * binned(variable.values, one.error)[1]
-            outline = {"x": [*at, *at[::-1]], "y": [*(law + reach), *(law - reach)[::-1]]}
-            traces.append(
-                {
-                    **outline,
-                    "fill": "toself",
-                    "fillcolor": "@afterband",
-                    "line": {"width": 0},
-                    "mode": "lines",
-                    "name": "law ± 2 standard errors",
-                    "hoverinfo": "skip",
-                }
-            )
-        line = {"mode": "lines", "line": {"color": "@after", "width": 2.2}}
-        traces.append({"x": at.tolist(), "y": law.tolist(), "name": "law that was found", **line})
-    marks = {"mode": "markers", "marker": {"color": "@before", "size": 6}, "error_y": bars}
-    traces.append({"x": centre.tolist(), "y": mean.tolist(), "name": "its mean ± 2 standard errors", **marks})
+    """One panel: samples; their means where the variable alone decides, and the law as a line there, else as points."""
+    noun, x = NOUN[one.quantity], variable.values
+    traces = [_points(x, one.missing, f"{noun}, measured", "@faint")]
+    decides = one.law is None or decided_by(x, one.law)
+    if one.law is not None and not decides:
+        traces.append(_points(x, one.law, "law that was found", "@after"))
+    if one.law is not None and decides:
+        traces += _law(x, one)
+    if decides:
+        centre, mean, spread = binned(x, one.missing)
+        bars = {"type": "data", "array": (2 * spread).tolist(), "color": "@before", "thickness": 1.2, "width": 2}
+        marks = {"mode": "markers", "marker": {"color": "@before", "size": 5}, "error_y": bars}
+        traces.append({"x": centre.tolist(), "y": mean.tolist(), "name": "mean ± 2 se", **marks})
     shown = np.quantile(one.missing, [0.005, 0.995])
     reach = shown + np.array([-0.25, 0.25]) * (shown[1] - shown[0])
     layout = {
@@ -147,20 +139,25 @@ def _against(one: MissingForce, variable: Variable, name: str, title: str) -> Pl
         "hovermode": "closest",
     }
     alt = f"{title}: {noun} against {variable.name}" + (", with the law that was found." if one.effect else ".")
-    return Plot(name, traces, layout, 300, alt, f"{title}: against {variable.name}.", half=True)
+    return Plot(name, traces, layout, 300, alt, f"{title}: against {variable.name}.", width="half")
 
 
-def binned(x, y, bins: int = BINS):
-    """Means of y over stretches of x that hold equally many samples.
+def _points(x, y, name: str, colour: str) -> dict:
+    marker = {"color": colour, "size": 3}
+    return {"x": packed(x), "y": packed(y), "mode": "markers", "hoverinfo": "skip", "name": name, "marker": marker}
 
-    **Returns:** middle of every stretch, mean there, standard error of the mean.
-    """
-    order = np.argsort(x, kind="stable")
-    parts = [part for part in np.array_split(order, min(bins, max(len(x) // 8, 1))) if len(part)]
-    centre = np.array([np.mean(x[part]) for part in parts])
-    mean = np.array([np.mean(y[part]) for part in parts])
-    spread = np.array([np.std(y[part]) / np.sqrt(len(part)) for part in parts])
-    return centre, mean, spread
+
+def _law(x, one: MissingForce) -> list[dict]:
+    """The law as a line with its band, where one is known."""
+    at, law, _ = binned(x, one.law)
+    traces = []
+    if one.error is not None and np.any(one.error > 0):
+        reach = 2 * binned(x, one.error)[1]
+        outline = {"x": [*at, *at[::-1]], "y": [*(law + reach), *(law - reach)[::-1]], "mode": "lines"}
+        style = {"fill": "toself", "fillcolor": "@afterband", "line": {"width": 0}, "hoverinfo": "skip"}
+        traces.append({**outline, **style, "name": "law ± 2 se"})
+    line = {"mode": "lines", "line": {"color": "@after", "width": 2.2}}
+    return [*traces, {"x": at.tolist(), "y": law.tolist(), "name": "law that was found", **line}]
 
 
 def ranking_plot(rows: list[dict], names: tuple[str, ...]) -> Plot | None:

@@ -66,7 +66,18 @@ def bode_plots(result: Identification, *, points: int = 500) -> list[Plot]:
             alt = f"Frequency response from {source} to {place}: magnitude above, phase below, with 95 % bands."
             name = f"bode-{k}-{j}"
             half = model.dofs * model.inputs > 1
-            plots.append(Plot(name, traces, layout, 360, alt, f"{source} to {place}.", linked="frequency", half=half))
+            plots.append(
+                Plot(
+                    name,
+                    traces,
+                    layout,
+                    360,
+                    alt,
+                    f"{source} to {place}.",
+                    linked="frequency",
+                    width="half" if half else "",
+                )
+            )
     return plots
 
 
@@ -87,18 +98,19 @@ def correlation_plots(result: Identification) -> list[Plot]:
     test, model = result.residual_test, result.model
     lags = np.arange(1, len(test.autocorrelation) + 1)
     half = (len(test.cross_correlation) - 1) // 2
+    width = "half" if model.inputs == 1 else "third"
     plots = []
     for k, place in enumerate(model.output_names):
         title = f"residual of {place} with itself"
-        plots.append(_bars(f"auto-{k}", lags, test.autocorrelation[:, k], test.band, title))
+        plots.append(_bars(f"auto-{k}", lags, test.autocorrelation[:, k], test.band, title, width))
         for j, source in enumerate(model.input_names):
             values, band = test.cross_correlation[:, k, j], test.cross_band[k, j]
             title = f"residual of {place} with earlier {source}"
-            plots.append(_bars(f"cross-{k}-{j}", np.arange(-half, half + 1), values, band, title))
+            plots.append(_bars(f"cross-{k}-{j}", np.arange(-half, half + 1), values, band, title, width))
     return plots
 
 
-def _bars(name: str, lags, values, band: float, title: str) -> Plot:
+def _bars(name: str, lags, values, band: float, title: str, width: str) -> Plot:
     colours = ["@before" if abs(v) > band else "@after" for v in values]
     bars = {
         "type": "bar",
@@ -129,7 +141,9 @@ def _bars(name: str, lags, values, band: float, title: str) -> Plot:
     }
     beyond = int(np.sum(np.abs(values) > band))
     alt = f"Correlation of the {title} over lags: {beyond} of {len(values)} beyond the 99 % band."
-    return Plot(name, [bars | {"name": "correlation"}], layout, 210, alt, title[0].upper() + title[1:] + ".", half=True)
+    return Plot(
+        name, [bars | {"name": "correlation"}], layout, 210, alt, title[0].upper() + title[1:] + ".", width=width
+    )
 
 
 def start_plot(result: Identification) -> Plot | None:

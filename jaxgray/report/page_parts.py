@@ -49,7 +49,7 @@ class Plot:
 
     `name`: unique on the page; `traces`, `layout`: as Plotly has them, colours by the page's own names (`@measured`);
     `height` [px]; `alt`: what it shows, for those who do not see it; `caption`; `linked`: plots of the same word share
-    their horizontal axis; `half`: stands beside another where there is room.
+    their horizontal axis; `width`: "", or "half" or "third" where there is room.
     """
 
     kind: ClassVar[str] = "plot"
@@ -60,7 +60,7 @@ class Plot:
     alt: str
     caption: str = ""
     linked: str = ""
-    half: bool = False
+    width: str = ""
 
     def drawing(self) -> dict:
         """What the page's program draws."""

@@ -65,7 +65,7 @@ def whole(time, measured, runs: list[Run], channel: Channel, *, name: str, serie
 
 def closer(time, measured, runs: list[Run], channel: Channel, window: slice, *, name: str, title: str) -> Plot:
     """A stretch of one output, every sample drawn; arguments as for `whole`, `window` its samples."""
-    return _plot(time, measured, runs, channel, window, 1, name, title, "", half=True)
+    return _plot(time, measured, runs, channel, window, 1, name, title, "", width="half")
 
 
 def _plot(time, measured, runs, channel: Channel, window: slice, stretch, name, title, caption, **more) -> Plot:

@@ -102,31 +102,35 @@ function tracesOf(plot) {
 function axisStyle(given) {
   return {
     automargin: true, gridcolor: colour("grid"), linecolor: colour("edge"), zerolinecolor: colour("grid"),
-    exponentformat: "power", showexponent: "all", ...(given.type === "log" ? { dtick: 1, minor: { ticks: "outside" }, tickfont: { size: 10 } } : {}),
+    exponentformat: "power", showexponent: "all", ...(given.type === "log" ? { dtick: given.range && given.range[1] - given.range[0] < 2.2 ? "D2" : 1, minor: { ticks: "outside" }, tickfont: { size: 10 } } : {}),
     ...given, title: { standoff: 6, ...given.title },
   };
 }
 
 function layoutOf(plot) {
   const layout = coloured(plot.layout);
+  const narrow = plot.element.clientWidth < 520;
   for (const name of Object.keys(layout).filter((key) => /^[xy]axis/.test(key))) {
     const given = layout[name].title ? { ...layout[name], title: { ...layout[name].title } } : layout[name];
     layout[name] = axisStyle(given);
   }
-  const narrow = plot.element.clientWidth < 520;
   return {
     font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: narrow ? 11 : 12, color: colour("text") },
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", margin: { l: 52, r: 10, t: 8, b: 40 },
     legend: { orientation: "h", y: 1.0, yanchor: "bottom", x: 0, font: { size: narrow ? 11 : 12 } },
     hoverlabel: { bgcolor: colour("page"), bordercolor: colour("edge"), font: { color: colour("text") } },
-    dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom",
+    dragmode: matchMedia("(pointer: coarse)").matches || narrow ? false : "zoom",
     ...layout,
     width: plot.element.clientWidth, height: plot.element.clientHeight,
+    // Otherwise the same arrays count as drawn already, and automatic ranges are not taken anew.
+    datarevision: ++revision,
   };
 }
 
+let revision = 0;
+
 const settings = {
-  displaylogo: false, responsive: false,
+  displaylogo: false, responsive: false, displayModeBar: matchMedia("(max-width: 760px)").matches ? false : "hover",
   modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "zoomIn2d", "zoomOut2d"],
 };
 
@@ -182,9 +186,10 @@ addEventListener("beforeprint", () => {
   root.dataset.theme = "light";
   root.dataset.before = theme || "";
   for (const part of document.querySelectorAll("details:not([open])")) { part.open = true; part.dataset.folded = "yes"; }
+  for (const drawing of document.querySelectorAll(".shapes svg")) pose(drawing, 1);
   for (const plot of plots.values()) {
     const half = plot.element.parentElement.classList.contains("half");
-    plot.element.style.width = half ? "330px" : "690px";
+    plot.element.style.width = half ? "335px" : plot.element.parentElement.classList.contains("third") ? "220px" : "690px";
   }
   redraw();
 });
@@ -196,6 +201,32 @@ addEventListener("afterprint", () => {
   redraw();
 });
 byId("print").addEventListener("click", () => print());
+
+// Mode shapes swing while they are seen, unless the reader wants no motion or prints.
+
+const still = matchMedia("(prefers-reduced-motion: reduce)");
+const seen = new Set();
+let swinging = false;
+const watch = new IntersectionObserver((entries) => {
+  for (const entry of entries) entry.isIntersecting ? seen.add(entry.target) : seen.delete(entry.target);
+  if (seen.size && !still.matches && !swinging) { swinging = true; requestAnimationFrame(swing); }
+});
+
+function pose(drawing, phase) {
+  const line = drawing.querySelector("polyline");
+  const values = drawing.dataset.shape.split(" ").map(Number);
+  const height = (value) => -44 * value * phase;
+  line.setAttribute("points", values.map((value, k) => `${36 + 72 * k},${height(value)}`).join(" "));
+  drawing.querySelectorAll("circle").forEach((circle, k) => circle.setAttribute("cy", height(values[k])));
+}
+
+function swing(now) {
+  for (const drawing of seen) pose(drawing, printing ? 1 : Math.cos((2 * Math.PI * now) / 1000 / drawing.dataset.period));
+  swinging = seen.size > 0 && !still.matches;
+  if (swinging) requestAnimationFrame(swing);
+}
+
+for (const drawing of document.querySelectorAll(".shapes svg")) watch.observe(drawing);
 
 // Tables and the result, to take away.
 
