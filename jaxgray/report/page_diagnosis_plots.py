@@ -176,7 +176,7 @@ def ranking_plot(rows: list[dict], names: tuple[str, ...]) -> Plot | None:
             marker = {"color": colour, "size": 10, "symbol": symbol, "line": {"color": colour, "width": 2}}
             traces.append({"x": values, "y": labels, "name": label, "mode": "markers", "marker": marker})
     layout = {
-        "xaxis": axis("ΔBIC (10 counts)", type="log"),
+        "xaxis": axis("ΔBIC (from 10 it counts)", type="log"),
         "yaxis": {"type": "category", "automargin": True},
         "shapes": [
             {

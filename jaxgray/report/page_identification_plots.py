@@ -175,6 +175,11 @@ def start_plot(result: Identification) -> Plot | None:
         "yaxis": axis("time constant [s]", type="category"),
         "hovermode": "closest",
     }
+    best = np.unravel_index(np.nanargmin(excess), excess.shape)
+    frame = {"x0": best[1] - 0.5, "x1": best[1] + 0.5, "y0": best[0] - 0.5, "y1": best[0] + 0.5}
+    layout["shapes"] = [
+        {"type": "rect", **{k: float(v) for k, v in frame.items()}, "line": {"color": "@before", "width": 3}}
+    ]
     alt = "Residual of the start for every time constant and number of block rows, relative to the best."
-    caption = "Residual of the start relative to the best choice, 1.00×; – no stable model."
+    caption = "Residual of the start relative to the best choice, framed; – no stable model."
     return Plot("start-map", [trace], layout, 120 + 26 * len(taus), alt, caption)
