@@ -14,8 +14,7 @@ def binned(x, y, bins: int = BINS):
 
     **Returns:** middle of every stretch, mean there, standard error of the mean.
     """
-    order = np.argsort(x, kind="stable")
-    parts = [part for part in np.array_split(order, min(bins, max(len(x) // 8, 1))) if len(part)]
+    parts = _bins(x, bins)
     centre = np.array([np.mean(x[part]) for part in parts])
     mean = np.array([np.mean(y[part]) for part in parts])
     spread = np.array([np.std(y[part]) / np.sqrt(len(part)) for part in parts])
@@ -23,7 +22,15 @@ def binned(x, y, bins: int = BINS):
 
 
 def decided_by(x, y) -> bool:
-    """Whether y is nearly a function of x: hardly any of its variance lies within bins of x."""
-    inside = binned(x, y)
-    count = len(y) / max(len(inside[0]), 1)
-    return float(np.mean(inside[2] ** 2) * count) < WITHIN * float(np.var(y))
+    """Whether y is nearly a function of x: hardly any of its variance lies about straight lines within bins of x."""
+    left = 0.0
+    for part in _bins(x, BINS):
+        table = np.stack([np.ones(len(part)), x[part] - np.mean(x[part])], axis=1)
+        left += float(np.sum((y[part] - table @ np.linalg.lstsq(table, y[part], rcond=None)[0]) ** 2))
+    return left < WITHIN * len(y) * float(np.var(y))
+
+
+def _bins(x, bins: int) -> list[np.ndarray]:
+    """Positions of the samples in every stretch."""
+    order = np.argsort(x, kind="stable")
+    return [part for part in np.array_split(order, min(bins, max(len(x) // 8, 1))) if len(part)]

@@ -16,8 +16,7 @@ from .time_plots import stretches
 
 def figures_of(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Names of the figures that this diagnosis has something to show in."""
-    lacking = bool(diagnosis.terms) or diagnosis.verdict in ("unexplained", "partly")
-    found = (("missing_force",) if lacking else ()) + (("error_budget",) if diagnosis.budget else ())
+    found = (("missing_force",) if missing_forces(diagnosis) else ()) + (("error_budget",) if diagnosis.budget else ())
     return ("extension", "spectrum", "ranking", *found)
 
 
