@@ -7,7 +7,7 @@ from ..diagnosis.missing_force import missing_forces
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.spectra import spectra
 from ..diagnosis.words import title_of
-from .binning import binned, decided_by
+from .binning import FINE, binned, decided_by
 from .diagnosis_rows import budget_name, candidates
 from .diagnosis_summary import diagnosis_document
 from .figures import MEASURED, RESIDUAL, SIMULATED, _labelled, _trace
@@ -99,10 +99,10 @@ def missing_force(diagnosis: Diagnosis, *, finding: int = 0) -> Figure:
         if one.law is not None and not decides:
             axis.plot(x, one.law, ".", color=SIMULATED, markersize=2.5, label="law that was found")
         if one.law is not None and decides:
-            at, law, _ = binned(x, one.law)
+            at, law, _ = binned(x, one.law, FINE, least=2)
             axis.plot(at, law, color=SIMULATED, linewidth=1.6, label="law that was found")
             if one.error is not None:
-                reach = 2 * binned(x, one.error)[1]
+                reach = 2 * binned(x, one.error, FINE, least=2)[1]
                 axis.fill_between(at, law - reach, law + reach, color=SIMULATED, alpha=0.25, linewidth=0)
         if decides:
             at, mean, _ = binned(x, one.missing)

@@ -122,14 +122,19 @@ def _sections(diagnosis: Diagnosis, document: dict):
         + (Table(error_rows(document), f"Fit and error of the free run, on {kind}"),)
         + (Words((f"Left: {what_is_left(document)}.",)),),
     )
+    windows = "windows" in document["baseline"]["noise_floor_source"]
     yield Section(
         "time",
         "Measured, simulated, extended",
         f"Free runs from the input alone, on {kind}. Below each, what the models miss, with ±2 σ of the noise shaded: "
-        "a model that lacks nothing stays inside.",
+        "a model that lacks nothing stays inside."
+        + (
+            " The runs start anew in every window: over the whole record they would show drift alone."
+            if windows
+            else ""
+        ),
         tuple(over_time_plots(diagnosis)),
     )
-    windows = "windows" in document["baseline"]["noise_floor_source"]
     yield Section(
         "spectra",
         "Spectra",
