@@ -7,7 +7,7 @@ from ..diagnosis.missing_force import missing_forces
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.spectra import spectra
 from ..diagnosis.words import title_of
-from .binning import FINE, binned, decided_by
+from .binning import binned, decided_by
 from .diagnosis_rows import budget_name, candidates
 from .diagnosis_summary import diagnosis_document
 from .figures import MEASURED, RESIDUAL, SIMULATED, _labelled, _trace
@@ -95,14 +95,14 @@ def missing_force(diagnosis: Diagnosis, *, finding: int = 0) -> Figure:
     for axis, variable in zip(axes.flat, one.variables):
         x = variable.values
         axis.plot(x, one.missing, ".", color="0.72", markersize=2.5, label=f"missing {one.quantity}, measured")
-        decides = one.law is None or decided_by(x, one.law)
+        decides = one.law is None or (variable.name != "time" and decided_by(x, one.law))
         if one.law is not None and not decides:
             axis.plot(x, one.law, ".", color=SIMULATED, markersize=2.5, label="law that was found")
         if one.law is not None and decides:
-            at, law, _ = binned(x, one.law, FINE, least=2)
+            at, law, _ = binned(x, one.law)
             axis.plot(at, law, color=SIMULATED, linewidth=1.6, label="law that was found")
             if one.error is not None:
-                reach = 2 * binned(x, one.error, FINE, least=2)[1]
+                reach = 2 * binned(x, one.error)[1]
                 axis.fill_between(at, law - reach, law + reach, color=SIMULATED, alpha=0.25, linewidth=0)
         if decides:
             at, mean, _ = binned(x, one.missing)

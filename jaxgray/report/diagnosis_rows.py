@@ -12,6 +12,9 @@ _ID = re.compile(r"\b[a-z]+(_[a-z]+)+\b")
 COUNTS = 10.0
 """ΔBIC at the gate from which a candidate is listed though it was not refitted."""
 
+MORE = 5
+"""Candidates of the gate that are looked through beyond those that were refitted."""
+
 
 def output_names(document: dict) -> tuple[str, ...]:
     """Names of the outputs, which are those of the coordinates."""
@@ -189,7 +192,7 @@ def candidates(document: dict) -> list[dict]:
                 add(member, refit=below, parameters=member["parameters"], status="in the class", why=why)
     for one in document["rejected"]:
         add(one, parameters=one["parameters"], gain=one["gain"], status="rejected", why=one["why"])
-    for one in document["gate"]:
+    for one in document["gate"][: len(found) + MORE]:
         if (one["delta_bic"] or 0) >= COUNTS:
             add(one, refit=None, status="not refitted", why="others explained more")
     least = -float("inf")

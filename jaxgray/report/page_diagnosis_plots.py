@@ -6,7 +6,7 @@ from ..diagnosis.missing_force import MissingForce, Variable, missing_forces
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.spectra import Spectra, spectra
 from ..diagnosis.words import title_of
-from .binning import FINE, binned, decided_by
+from .binning import binned, decided_by
 from .diagnosis_rows import budget_name, output_names
 from .page_parts import Plot, axis, labelled, over_time, packed, stretch_for
 from .time_plots import Channel, Run, closer, stretches, whole
@@ -121,7 +121,7 @@ def _against(one: MissingForce, variable: Variable, name: str, title: str) -> Pl
     """One panel: samples; their means where the variable alone decides, and the law as a line there, else as points."""
     noun, x = NOUN[one.quantity], variable.values
     traces = [_points(x, one.missing, f"{noun}, measured", "@faint")]
-    decides = one.law is None or decided_by(x, one.law)
+    decides = one.law is None or (variable.name != "time" and decided_by(x, one.law))
     if one.law is not None and not decides:
         traces.append(_points(x, one.law, "law that was found", "@after"))
     if one.law is not None and decides:
@@ -149,10 +149,10 @@ def _points(x, y, name: str, colour: str) -> dict:
 
 def _law(x, one: MissingForce) -> list[dict]:
     """The law as a line with its band, where one is known."""
-    at, law, _ = binned(x, one.law, FINE, least=2)
+    at, law, _ = binned(x, one.law)
     traces = []
     if one.error is not None and np.any(one.error > 0):
-        reach = 2 * binned(x, one.error, FINE, least=2)[1]
+        reach = 2 * binned(x, one.error)[1]
         outline = {"x": [*at, *at[::-1]], "y": [*(law + reach), *(law - reach)[::-1]], "mode": "lines"}
         style = {"fill": "toself", "fillcolor": "@afterband", "line": {"width": 0}, "hoverinfo": "skip"}
         traces.append({**outline, **style, "name": "law ± 2 se"})
