@@ -97,9 +97,14 @@ def test_theme_follows_the_system_and_the_button(written, opened):
     shown = opened(written["named"][0], dark=True)
     dark, shade = shown.evaluate(ground), shown.evaluate(line)
     assert dark == "rgb(15, 20, 25)" and shown.locator("#theme").inner_text() == "Light"
+    ranges = "[...document.querySelectorAll('.drawing')].map((one) => one._fullLayout.yaxis.range)"
+    before = shown.evaluate(ranges)
     shown.locator("#theme").click()
     assert shown.evaluate(ground) == "rgb(255, 255, 255)" and shown.locator("#theme").inner_text() == "Dark"
     shown.wait_for_function(f"{line} !== '{shade}'", timeout=5000)
+    shown.evaluate("redraw()")
+    shown.wait_for_timeout(500)
+    assert shown.evaluate(ranges) == before
 
 
 def test_keyboard_and_clipboard(written, opened):
