@@ -14,6 +14,9 @@ from .time_plots import Channel, Run, closer, stretches, whole
 OF_EACH = 4
 """Outputs up to which every one is shown closely; of more, the worst alone."""
 
+MOST_LINES = 3000
+"""Lines of a periodic record that are drawn at most, of each kind."""
+
 NOUN = {"force": "missing force", "input": "missing input", "output": "missing output"}
 
 
@@ -98,6 +101,9 @@ def _spectrum(made: Spectra, label: str, colour: str, values) -> list[dict]:
     traces = []
     for word, chosen, symbol in groups:
         if chosen.any():
+            # Of very many lines, every so many: a few thousand marks are all that a plot can show.
+            chosen = np.flatnonzero(chosen)
+            chosen = chosen[:: -(-len(chosen) // MOST_LINES)]
             marks = {"mode": "markers", "marker": {"color": colour, "size": 4, "symbol": symbol}}
             if symbol == "x-thin":
                 marks["marker"] |= {"line": {"color": colour, "width": 1.2}}

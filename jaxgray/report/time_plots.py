@@ -10,8 +10,8 @@ from .page_parts import Plot, axis, drawn_from, labelled, over_time, stretch_for
 STRETCHES = 20
 """A closer look shows one of so many stretches of the record."""
 
-LEAST = 50
-"""Samples of a stretch at least."""
+LEAST, MOST = 50, 5000
+"""Samples of a stretch at least and at most."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def stretches(error: Float[np.ndarray, " samples"]) -> tuple[slice, slice]:
     **Returns:** their samples, of one length.
     """
     samples = len(error)
-    length = max(samples // STRETCHES, min(samples, LEAST))
+    length = min(max(samples // STRETCHES, min(samples, LEAST)), MOST)
     if samples <= length:
         return slice(0, samples), slice(0, samples)
     total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(error) ** 2)])

@@ -38,6 +38,8 @@ def test_every_plot_is_drawn_and_nothing_is_said(written, opened, name):
         assert layers and label == plot.alt and traces == len(plot.traces) and marks
     assert shown.said == [] and not [url for url in shown.asked if not url.startswith(("file:", "data:", "blob:"))]
     assert shown.locator("#trouble").is_hidden()
+    tools = set(shown.evaluate("[...document.querySelectorAll('.modebar-btn')].map((one) => one.dataset.title)"))
+    assert tools == {"Download plot as a PNG", "Zoom", "Pan", "Reset axes"}
 
 
 @pytest.mark.parametrize("name", PAGES)

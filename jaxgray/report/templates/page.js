@@ -131,7 +131,8 @@ let revision = 0;
 
 const settings = {
   displaylogo: false, responsive: false, displayModeBar: matchMedia("(max-width: 760px)").matches ? false : "hover",
-  modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "zoomIn2d", "zoomOut2d"],
+  // Named one by one: the library's own choice would offer to send the data away.
+  modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]],
 };
 
 function draw(plot) {
