@@ -92,7 +92,8 @@ def _summary(document: dict, causes: int) -> tuple[Fact, ...]:
         if causes > 1:
             facts.append(Fact("All together take off", gain_words(extended["gain"]), "of the error"))
     left = "white" if document["remaining"]["white"] else "not white"
-    facts.append(Fact("What is left", left, ", ".join(document["remaining"]["depends_on"])))
+    depends = ", ".join(document["remaining"]["depends_on"])
+    facts.append(Fact("What is left", left, f"depends on {depends}" if depends else ""))
     return tuple(facts)
 
 
