@@ -3,12 +3,16 @@
 import importlib
 from typing import TYPE_CHECKING
 
+from .numerics.notebook import show_with
+
 if TYPE_CHECKING:
     from .diagnosis.diagnose import diagnose as diagnose
     from .diagnosis.result import Diagnosis as Diagnosis
     from .identification import Identification as Identification
+    from .identification import Stabilisation as Stabilisation
     from .identification import Sweep as Sweep
     from .identification import identify as identify
+    from .identification import stabilisation as stabilisation
     from .identification import sweep as sweep
     from .mechanics.drives import BaseAcceleration as BaseAcceleration
     from .mechanics.drives import BaseDisplacement as BaseDisplacement
@@ -24,11 +28,12 @@ if TYPE_CHECKING:
     from .records import read_record as read_record
     from .report.export import load as load
     from .report.export import save as save
+    from .report.page import write_report as write_report
 
 _HOMES = {
     "diagnosis.diagnose": ("diagnose",),
     "diagnosis.result": ("Diagnosis",),
-    "identification": ("Identification", "Sweep", "identify", "sweep"),
+    "identification": ("Identification", "Stabilisation", "Sweep", "identify", "stabilisation", "sweep"),
     "mechanics.drives": ("BaseAcceleration", "BaseDisplacement", "Force"),
     "mechanics.effects": ("CATALOGUE",),
     "mechanics.model": ("MechanicalModel",),
@@ -36,8 +41,19 @@ _HOMES = {
     "numerics.outcomes": ("RESULTS", "ComputationError"),
     "records": ("Record", "RecordWarning", "preflight", "read_record"),
     "report.export": ("load", "save"),
+    "report.page": ("write_report",),
 }
 __all__ = tuple(name for names in _HOMES.values() for name in names)  # noqa: PLE0604
+
+
+def _html(result) -> str | None:
+    # What shows results is fetched when a notebook first asks.
+    from .report.notebook import html
+
+    return html(result)
+
+
+show_with(_html)
 
 
 def __getattr__(name: str):

@@ -155,6 +155,15 @@ class Output:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Reporting:
+    """Where the page goes."""
+
+    report: Annotated[
+        Path | None, _option("--report", metavar="OUT.html", help="Write the result as one page for a browser.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Spacing:
     """Which time constants a sweep takes by itself."""
 
@@ -222,7 +231,7 @@ class Demonstrating:
         str, _option("--effect", metavar="ID", help="What the simulated system hides; none for nothing.")
     ] = "coulomb_friction"
     out: Annotated[
-        Path | None, _option("--out", metavar="DIR", help="Write the records, the truth and the result.")
+        Path | None, _option("--out", metavar="DIR", help="Write the records, the truth, the result and its page.")
     ] = None
     seed: Annotated[int, _option("--seed", metavar="N", help="Of the inputs and the noise.")] = 1
 

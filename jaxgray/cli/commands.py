@@ -13,13 +13,14 @@ from .arguments import (
     File,
     Fitting,
     Output,
+    Reporting,
     Simulating,
     Spacing,
     Talk,
     takes_groups,
     words,
 )
-from .finishing import drawn, finish, subspace_options
+from .finishing import drawn, finish, page, subspace_options
 
 app = typer.Typer(
     add_completion=False,
@@ -49,14 +50,20 @@ def _top(
 @app.command(short_help="Find mass, damping and stiffness, with error bars.")
 @takes_groups
 def identify(
-    file: File, channels: Channels, excitation: Excitation, fitting: Fitting, output: Output, talk: Talk
+    file: File,
+    channels: Channels,
+    excitation: Excitation,
+    fitting: Fitting,
+    output: Output,
+    reporting: Reporting,
+    talk: Talk,
 ) -> None:
     """Find mass, damping and stiffness, with error bars, and say how well they explain the record."""
     from ..report import terminal
     from . import files
 
     files.check_holdout(channels)
-    files.check_places(output.json)
+    files.check_places(output.json, reporting.report)
     options = subspace_options(excitation)
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
@@ -82,6 +89,8 @@ def identify(
         progress.stage("reporting")
         document = summary.identification_document(result, tuple(notes))
         pictures = drawn(output.figures, "figures", ("compare", "residuals", "bode"), result)
+        pictures |= drawn(output.figures, "modal_figures", ("mode_shapes",), result)
+        pictures |= page(reporting.report, result, notes)
     finish(document, terminal.show_identification, talk, output.json, pictures, notes)
 
 

@@ -11,11 +11,12 @@ from .arguments import (
     Fitting,
     Listing,
     Output,
+    Reporting,
     Talk,
     takes_groups,
     words,
 )
-from .finishing import drawn, finish, subspace_options
+from .finishing import drawn, finish, page, subspace_options
 
 HOLDOUT = 0.3
 """Share of the record that is held out where nothing else is said."""
@@ -29,6 +30,7 @@ def diagnose(
     fitting: Fitting,
     diagnosing: Diagnosing,
     output: Output,
+    reporting: Reporting,
     talk: Talk,
 ) -> None:
     """Say what a model of the record gets wrong, name the cause, add it, and prove the gain on held-out data.
@@ -40,7 +42,7 @@ def diagnose(
     from . import files
 
     files.check_holdout(channels)
-    files.check_places(output.json, diagnosing.experiment)
+    files.check_places(output.json, reporting.report, diagnosing.experiment)
     _check(fitting, diagnosing)
     options = subspace_options(excitation)
     notes: list[str] = []
@@ -79,15 +81,27 @@ def diagnose(
         if diagnosing.experiment is not None and result.next_experiment is None:
             notes.append(f"{diagnosing.experiment} is not written: there is no experiment to propose.")
         document = diagnosis_document(result, tuple(notes))
-        written = drawn(output.figures, "diagnosis_figures", ("extension",), result)
-        if result.identification is not None:
-            written |= drawn(output.figures, "figures", ("compare", "residuals", "bode"), result.identification)
+        written = _pictures(output, result)
+        written |= page(reporting.report, result, notes)
         if diagnosing.experiment is not None and result.next_experiment is not None:
             proposed = result.next_experiment
             columns = files.input_columns(record, proposed.input, proposed.sampling_time)
             written[diagnosing.experiment] = files.columns_text(columns).encode()
     show = functools.partial(show_diagnosis, verbose=talk.verbose)
     finish(document, show, talk, output.json, written, notes)
+
+
+def _pictures(output: Output, result) -> dict:
+    """The figures of a diagnosis and of its linear fit, by the files they go to."""
+    if output.figures is None:
+        return {}
+    from ..report.diagnosis_figures import figures_of
+
+    made = drawn(output.figures, "diagnosis_figures", figures_of(result), result)
+    if result.identification is not None:
+        made |= drawn(output.figures, "figures", ("compare", "residuals", "bode"), result.identification)
+        made |= drawn(output.figures, "modal_figures", ("mode_shapes",), result.identification)
+    return made
 
 
 def _check(fitting: Fitting, diagnosing: Diagnosing) -> None:
@@ -155,6 +169,7 @@ def demo(demonstrating: Demonstrating, talk: Talk) -> None:
             for name, record in (("estimation", made.estimation), ("validation", made.validation)):
                 text = files.columns_text(files.record_columns(record))
                 written[folder / f"{name}.csv"] = text.encode()
+            written |= page(folder / "report.html", made.diagnosis, [])
     for path, content in written.items():
         export.write_whole(content, path)
     if demonstrating.out is not None:

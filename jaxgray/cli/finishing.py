@@ -41,6 +41,15 @@ def finish(document: dict, show, talk: Talk, target: str | None, files: dict[Pat
             print(f"warning: {' '.join(text.split())}", file=sys.stderr)
 
 
+def page(path: Path | None, result, notes: list[str]) -> dict[Path, bytes]:
+    """A result as a page, by the file it goes to; none without one; `notes`: from reading, put before its warnings."""
+    if path is None:
+        return {}
+    from ..report.page import html_of
+
+    return {path: html_of(result, tuple(notes)).encode()}
+
+
 def drawn(folder: Path | None, module: str, names: tuple[str, ...], result) -> dict[Path, bytes]:
     """Figures as PNG, by the files they go to; none without a folder.
 

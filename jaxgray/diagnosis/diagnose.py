@@ -29,6 +29,7 @@ from .experiment import next_experiment
 from .growth import Growth, grow, residual_rms
 from .judgement import FreeRun, gain_of, overall
 from .problem import Data
+from .ranking import gate_of, rejected_of
 from .record_findings import record_findings
 from .refitting import explainable_share
 from .response import Simulator
@@ -170,6 +171,9 @@ def _assembled(
         if growth.runs:
             runs = growth.baseline_runs
             gain = gain_of(runs, growth.runs, runs, floor, names, held_out=True, rng=bench.rng)
+        if len(growth.accepted) == 1 and growth.accepted[0].gain.held_out:
+            # The same, from the same draws: one finding must not have two intervals.
+            gain = growth.accepted[0].gain
     unexplained = growth.unexplained or (source != "residual of the final model" and excess >= UNEXPLAINED)
     test = None if identification is None else identification.structure_test
     if not growth.accepted and test is not None and test.p_value < MISFIT:
@@ -198,7 +202,7 @@ def _assembled(
         white=not growth.unexplained and growth.screening.chain.ratio == 0.0,
         explainable=explainable_share(bench, growth, floor) if unexplained else None,
         depends_on=depends,
-        rejected=tuple(growth.rejected),
+        rejected=rejected_of(bench, growth, records[0]),
         not_found=not_found_of(growth.screening, bench, records[0], taken),
         shifts=shifts,
         budget=budget_of(growth, bench, floor),
@@ -210,6 +214,7 @@ def _assembled(
         identification=identification,
         terms=growth.stage.candidate.terms,
         own_model=baseline.own,
+        gate=gate_of(growth),
     )
 
 

@@ -75,13 +75,15 @@ class Accepted:
 
 @dataclass
 class Growth:
-    """How far the loop got: where it began, the model now, what was accepted and rejected, and the last look."""
+    """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
+    tried, and the last look."""
 
     start: Stage
     stage: Stage
     fit: Refit | None = None
     accepted: list[Accepted] = field(default_factory=list)
     rejected: list[Rejected] = field(default_factory=list)
+    tried: dict[tuple[str, str], Refit] = field(default_factory=dict)
     screening: Screening | None = None
     first: Screening | None = None
     unexplained: bool = False
@@ -171,12 +173,13 @@ def _round(bench: Bench, growth: Growth, screening: Screening, closer: Screening
     chain = closer.chain if closer.shows else white_chain(stage.e, bench.data[0].kept, stage.system)
     attempts = attempts_of(bench, growth.stage, shortlist(screening, closer), chain, growth.rejected)
     ranked = compared(bench, stage, list(attempts.values()))
+    growth.tried |= {attempt.name: attempt.fit for attempt in ranked}
     floor = _floor(bench, ranked)
     for k, attempt in enumerate(ranked):
         bench.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
         why, gain, runs = judged(bench, growth, attempt, floor)
         if why is not None:
-            growth.rejected.append(Rejected(*attempt.name, attempt.delta_bic, why))
+            growth.rejected.append(Rejected(*attempt.name, attempt.delta_bic, why, gain))
             continue
         rivals = []
         for other in ranked[k + 1 :]:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ..identification import Identification
 from ..mechanics.effects.base import Term
 from ..mechanics.model import MechanicalModel
+from ..numerics.notebook import Shown
 from ..records import Record
 
 
@@ -68,12 +69,23 @@ class Finding:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A candidate that passed the gate and was not taken."""
+    """A candidate that passed the gate and was not taken; `gain` and `parameters` of its refit, where there was one."""
 
     effect: str
     location: str
     delta_bic: float
     why: str
+    gain: Gain | None = None
+    parameters: dict[str, Estimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Gated:
+    """A candidate at the first look: its evidence by a linear response to the simulated motion."""
+
+    effect: str
+    location: str
+    delta_bic: float
 
 
 @dataclass(frozen=True)
@@ -142,7 +154,7 @@ class NextExperiment:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Shown):
     """What the simulation gets wrong, why, and what mending it buys.
 
     `verdict`: the worst over the findings; `baseline`: the linear model (or the user's own); `noise_floor` per output
@@ -179,6 +191,7 @@ class Diagnosis:
     identification: Identification | None = field(repr=False)
     terms: tuple[Term, ...] = ()
     own_model: bool = False
+    gate: tuple[Gated, ...] = ()
 
     @property
     def sentence(self) -> str:

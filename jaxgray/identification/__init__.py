@@ -2,5 +2,7 @@
 
 from .identify import identify as identify
 from .result import Identification as Identification
+from .stabilisation import Stabilisation as Stabilisation
+from .stabilisation import stabilisation as stabilisation
 from .sweeping import Sweep as Sweep
 from .sweeping import sweep as sweep

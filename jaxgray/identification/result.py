@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..mechanics.model import MechanicalModel
+from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS
 from ..records import Record
 from .conic import sensitivities, without_noise
@@ -34,7 +35,7 @@ POOR_FIT = 80.0
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Shown):
     """An identified model and the evidence for it.
 
     `model` in the record's units; `uncertainty`: covariance and what limits it (None without refinement);

@@ -35,7 +35,7 @@ class Start:
 
     `matrices`: M, D, K; `deviation`: mean square free-run residual per output; `method`: "subspace" or
     "regression"; `time_constant` [s]; `block_rows`; `singular_values` of the projection; `table`: score of every
-    (τ, i) tried.
+    (τ, i) tried; `grid`: those τ [s] and i.
     """
 
     matrices: tuple[Array, Array, Array]
@@ -45,6 +45,7 @@ class Start:
     block_rows: int | None
     singular_values: Float[np.ndarray, " values"] | None
     table: Float[np.ndarray, "time_constants choices"] | None
+    grid: tuple[tuple[float, ...], tuple[int, ...]] | None = None
 
     @property
     def score(self) -> float:
@@ -177,6 +178,7 @@ def subspace_start(
                 int(block_rows[index[1]]),
                 np.asarray(chosen.realization.singular_values),
                 table,
+                (tuple(np.asarray(time_constants, float).tolist()), tuple(int(i) for i in block_rows)),
             )
             if np.isfinite(here.score) and (best is None or here.score > best.score):
                 best = here

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready
@@ -28,7 +29,7 @@ GROWTH = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Shown):
     """The subspace start for every time constant τ × block rows i, judged by free-run simulation.
 
     `time_constants` [s], `block_rows`: the axes; `fit_percent` and, with held-out records,

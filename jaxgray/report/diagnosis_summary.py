@@ -38,12 +38,22 @@ def diagnosis_document(diagnosis: Diagnosis, notes: tuple[str, ...] = ()) -> dic
             "depends_on": diagnosis.depends_on,
         },
         "rejected": [
-            {"effect": one.effect, "location": one.location, "delta_bic": one.delta_bic, "why": one.why}
+            {
+                "effect": one.effect,
+                "location": one.location,
+                "delta_bic": one.delta_bic,
+                "why": one.why,
+                "parameters": _estimates(one.parameters),
+                "gain": _gain(one.gain),
+            }
             for one in diagnosis.rejected
         ],
         "not_found": [
             {"effect": one.effect, "location": one.location, "min_detectable": _sizes(one.min_detectable)}
             for one in diagnosis.not_found
+        ],
+        "gate": [
+            {"effect": one.effect, "location": one.location, "delta_bic": one.delta_bic} for one in diagnosis.gate
         ],
         "shifts": [
             {

@@ -10,13 +10,11 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, MultipleLocator, N
 from ..identification.result import Identification
 from ..identification.sweeping import Sweep
 from ..mechanics.drives import ORDER
-from ..mechanics.modal_uncertainty import frequency_response_band
 from ..records import Record
+from .frequency_responses import KIND, QUANTILE_95, response_grid, responses
 
 MEASURED, SIMULATED, RESIDUAL, BAND = "0.65", "#0b5394", "#b45f06", "0.88"
 MOST_POINTS = 4000
-KIND = ("receptance", "mobility", "accelerance")
-QUANTILE_95 = 1.959964
 
 
 def compare(result: Identification, *, held_out: bool | None = None, record: int = 0) -> Figure:
@@ -158,8 +156,8 @@ def bode(result: Identification, *, points: int = 600) -> Figure:
     """
     model = result.model
     n, m = model.dofs, model.inputs
-    frequency, resonances, antiresonances = _frequencies(result, points)
-    H, magnitude, phase = _responses(result, 2 * np.pi * frequency)
+    frequency, resonances, antiresonances = response_grid(result, points)
+    H, magnitude, phase = responses(result, 2 * np.pi * frequency)
     figure = Figure(figsize=(max(1.6 + 4.2 * m, 7.0), 0.8 + 3.0 * n), layout="constrained")
     axes = figure.subplots(2 * n, m, squeeze=False, sharex=True, height_ratios=[1.7, 1.0] * n)
     for k, place in enumerate(model.output_names):
@@ -201,45 +199,6 @@ def bode(result: Identification, *, points: int = 600) -> Figure:
     band = "" if magnitude is None else "95 % band shaded, "
     figure.suptitle(f"Frequency response: {band}resonances dotted, antiresonances dashed", fontsize="medium")
     return figure
-
-
-def _frequencies(result: Identification, points: int):
-    """A grid in Hz around the modes that holds every resonance and antiresonance itself."""
-    model, record = result.model, result.records[0]
-    modes = model.modes().natural_frequency_hz
-    moving = modes[modes > 0]
-    nyquist = record.sampling_rate_hz / 2
-    low, high = (0.2 * moving[0], 5 * moving[-1]) if len(moving) else (1 / record.duration, nyquist)
-    low, high = max(low, 0.5 / record.duration), min(high, nyquist)
-    antiresonances = {}
-    for source in model.input_names:
-        for place in model.output_names:
-            try:
-                found = model.zeros(input=source, output=place).antiresonance_hz
-            except ValueError:
-                found = np.zeros(0)
-            antiresonances[source, place] = found[(found > low) & (found < high)]
-    special = np.concatenate([moving[(moving > low) & (moving < high)], *antiresonances.values()])
-    near = (special[:, None] * (1 + np.array([-0.01, -0.003, 0.0, 0.003, 0.01]))).ravel()
-    grid = np.union1d(np.geomspace(low, max(high, 2 * low), points), near)
-    return grid, moving, antiresonances
-
-
-def _responses(result: Identification, omega: np.ndarray):
-    """Response, and standard errors of magnitude and phase or None, each output as it is measured."""
-    model = result.model
-    H, magnitude, phase = (np.zeros((len(omega), model.dofs, model.inputs), kind) for kind in (complex, float, float))
-    known = result.covariance is not None
-    for kind in dict.fromkeys(model.measured):
-        outputs = [k for k, one in enumerate(model.measured) if one == kind]
-        name = KIND[ORDER[kind]]
-        if known:
-            band = frequency_response_band(model, omega, result.covariance, kind=name)
-            H[:, outputs] = band.response[:, outputs]
-            magnitude[:, outputs], phase[:, outputs] = band.magnitude[:, outputs], band.phase[:, outputs]
-        else:
-            H[:, outputs] = model.frequency_response(omega, kind=name)[:, outputs]
-    return (H, magnitude, phase) if known else (H, None, None)
 
 
 def sweep_map(sweep: Sweep) -> Figure:

@@ -4,17 +4,16 @@ import contextlib
 import math
 import textwrap
 
-import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.text import plus_minus
+from .identification_rows import MATRICES, evidence_lines, fit_rows, matrix_rows, mode_rows, start_line, verdict
+from .rows import Rows
 
 WIDTH = 110
-MATRICES = ("mass", "damping", "stiffness")
 
 
 def console(*, error: bool = False) -> Console:
@@ -70,24 +69,6 @@ def progress(*, quiet: bool = False, verbose: bool = False):
             yield RichProgress(bar)
 
 
-def verdict(document: dict) -> str:
-    """The outcome of an identification in one sentence."""
-    model, fits = document["model"], document["fit_percent"]
-    held_out = "validation" in fits
-    values = list(fits["validation" if held_out else "estimation"].values())
-    shown = ", ".join(f"{v:.1f} %" for v in values) if len(values) <= 4 else f"{min(values):.1f} to {max(values):.1f} %"
-    drive = model.get("input_map") or model["base"]["direction"]
-    where = "on data the fit has not seen" if held_out else "on the data of the fit"
-    colour = "white" if document["residual_test"]["white"] else "not white"
-    count = _count(len(model["mass"]), "coordinate"), _count(len(drive[0]), "input")
-    kind = "" if document["refined"] else ", starting model without refinement"
-    return f"{count[0]}, {count[1]}{kind}: fit {shown} {where}; residual {colour}."
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
-
-
 def show_identification(out: Console, document: dict) -> None:
     """Verdict, matrices ± one standard error, fits, modes, tests and warnings of an identification.
 
@@ -95,10 +76,10 @@ def show_identification(out: Console, document: dict) -> None:
     """
     out.print(verdict(document), style="bold", soft_wrap=True)
     for name in MATRICES:
-        out.print(_matrix_table(name, document["model"]))
-    out.print(_fit_table(document))
-    out.print(_mode_table(document))
-    for line in (*_test_lines(document), _start_line(document["start"])):
+        out.print(table_of(matrix_rows(name, document["model"])))
+    out.print(table_of(fit_rows(document)))
+    out.print(table_of(mode_rows(document)))
+    for line in (*evidence_lines(document), start_line(document["start"])):
         out.print(line, soft_wrap=True)
     show_warnings(out, document["warnings"])
 
@@ -111,71 +92,15 @@ def new_table(title: str, *columns: str) -> Table:
     return table
 
 
-def _matrix_table(name: str, model: dict) -> Table:
-    places = model["output_names"]
-    errors, units = model["standard_errors"], model["units"]
-    unit = common_unit(units and units[name])
-    table = new_table(f"{name} [{unit}]" if unit else name, *places)
-    for r, place in enumerate(places):
-        cells = []
-        for c, value in enumerate(model[name][r]):
-            text = plus_minus(value, None if errors is None else errors[name][r][c])
-            cells.append(text if unit or not units else f"{text} {units[name][r][c]}")
-        table.add_row(place, *cells)
+def table_of(rows: Rows, *, wrapped: tuple[int, ...] = ()) -> Table:
+    """Rows as a table of the terminal: numbers to the right; columns that may take several lines are `wrapped`."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for k, title in enumerate(rows.head):
+        justify = "left" if k == 0 or k in wrapped else "right"
+        table.add_column(title, justify=justify, no_wrap=k not in wrapped)
+    for row in rows.body:
+        table.add_row(*row)
     return table
-
-
-def common_unit(table: list[list[str]] | None) -> str | None:
-    """The one unit of all entries, or None where they differ or are not known."""
-    if table is None:
-        return None
-    units = {unit for row in table for unit in row}
-    return units.pop() if len(units) == 1 else None
-
-
-def _fit_table(document: dict) -> Table:
-    fits, rmse, floor = document["fit_percent"], document["rmse"], document["noise_floor"]
-    model = document["model"]
-    columns = [text for kind in fits for text in (f"{kind} fit", "RMSE")]
-    table = new_table("output", *columns, "noise floor", "unit")
-    for name, unit in zip(model["output_names"], model["output_units"]):
-        cells = [text for kind in fits for text in (f"{fits[kind][name]:.2f} %", f"{rmse[kind][name]:.3g}")]
-        table.add_row(name, *cells, f"{floor[name]:.3g}", unit)
-    return table
-
-
-def _mode_table(document: dict) -> Table:
-    table = new_table("mode", "natural frequency [Hz]", "damping ratio [%]", *document["model"]["output_names"])
-    for k, mode in enumerate(document["modes"]):
-        shape = np.array(mode["shape"])
-        ratio, error = mode["damping_ratio"], mode["damping_ratio_standard_error"]
-        table.add_row(
-            str(k + 1),
-            plus_minus(mode["frequency_hz"], mode["frequency_standard_error"]),
-            plus_minus(100 * ratio, None if error is None else 100 * error),
-            *(f"{v:+.3f}" for v in shape / np.max(np.abs(shape))),
-        )
-    return table
-
-
-def _test_lines(document: dict) -> list[str]:
-    tests, found = document["residual_test"], document["structure_test"]
-    lines = [
-        f"residual: {'white' if tests['white'] else 'not white'}; past inputs explain "
-        f"{'more of it' if tests['input_explained'] else 'no more of it'}; "
-        f"{'correlated with future inputs (feedback)' if tests['feedback'] else 'no sign of feedback'}"
-    ]
-    if found is not None:
-        more = f"another linear model explains {found['explained_percent']:.2g} % more of the residual"
-        fits = "M, D, K suffice" if found["fits"] else "M, D, K do not suffice: " + more
-        p = found["p_value"]
-        lines.append(f"structure: {fits} ({f'p = {p:.2g}' if p > 1e-16 else 'p < 1e-16'})")
-    return lines
-
-
-def _start_line(start: dict) -> str:
-    rows = "" if start["block_rows"] is None else f", {start['block_rows']} block rows"
-    return f"start: {start['method']}, time constant {start['time_constant']:.3g} s{rows}"
 
 
 def show_sweep(out: Console, document: dict) -> None:

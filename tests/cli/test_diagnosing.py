@@ -90,11 +90,14 @@ def test_diagnose_writes_json_figures_and_the_experiment(asked, records, tmp_pat
     asked.answer = equivalent()
     target, csv = tmp_path / "out.json", tmp_path / "next.csv"
     options = ["--validation", records[1], "--json", target, "--figures", tmp_path / "drawn", "--experiment", csv]
+    options += ["--report", tmp_path / "out.html"]
     run("diagnose", records[0], *CHANNELS, *options)
     assert asked.options["validation"].samples == 3000
     found = strict(target.read_text())
     assert (found["schema"], found["verdict"]) == ("jaxgray/diagnosis/1", "equivalent")
     assert (tmp_path / "drawn" / "extension.png").read_bytes().startswith(b"\x89PNG")
+    assert {one.stem for one in (tmp_path / "drawn").iterdir()} >= {"extension", "spectrum", "ranking", "error_budget"}
+    assert equivalent().sentence in (tmp_path / "out.html").read_text()
     table = np.loadtxt(csv, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(table[:, 1:], experiment().input)
     assert csv.read_text().startswith("time [s],u1 [N],u2 [N]\n")
@@ -208,6 +211,7 @@ def test_demo_writes_what_it_simulated(shown, tmp_path, capsys):
     np.testing.assert_array_equal(truth["stiffness"], REFERENCE["K"])
     assert truth["effects"] == [{"effect": "coulomb_friction", "location": "y1", "parameters": {"Fc": 0.2}}]
     assert strict((folder / "result.json").read_text())["schema"] == "jaxgray/diagnosis/1"
+    assert made.diagnosis.sentence in (folder / "report.html").read_text()
     assert said.startswith("The linear model misses")
     for text in ("Coulomb friction at y1: Fc", "0.2412 ± 0.0023 N", "extended model", "3.390 ± 0.010", "noisy output"):
         assert text in said

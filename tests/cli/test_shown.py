@@ -35,6 +35,7 @@ def identified(records, tmp_path_factory):
     """What `identify` wrote: JSON and figures."""
     folder = tmp_path_factory.mktemp("identified")
     options = ["--validation", records[1], "--json", folder / "result.json", "--figures", folder / "drawn"]
+    options += ["--report", folder / "report.html"]
     run("identify", records[0], *CHANNELS, *options, "--quiet")
     return folder
 
@@ -133,8 +134,19 @@ def test_simulate_refuses_other_channels(identified, records, capsys):
 
 
 def test_figures_are_files(identified):
-    for name in ("compare", "residuals", "bode"):
+    for name in ("compare", "residuals", "bode", "mode_shapes"):
         assert (identified / "drawn" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_page_holds_what_the_json_holds(identified):
+    text = (identified / "report.html").read_text()
+    carried = text.partition('<script type="application/json" id="document">')[2].partition("</script>")[0]
+    assert strict(carried) == strict((identified / "result.json").read_text())
+
+
+def test_a_page_without_a_folder_is_refused_before_anything_is_computed(records, tmp_path, capsys):
+    assert main(["identify", str(records[0]), *CHANNELS, "--report", str(tmp_path / "no" / "out.html")]) == 2
+    assert "the folder" in capsys.readouterr().err
 
 
 def test_sweep_tabulates_every_choice(records, tmp_path, capsys):

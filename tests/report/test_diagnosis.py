@@ -193,6 +193,8 @@ def test_document_has_the_fixed_keys():
         "location": "y1",
         "delta_bic": None,
         "why": "its refit could not be simulated",
+        "parameters": {},
+        "gain": None,
     }
     assert found["not_found"][2]["min_detectable"] == {"w": {"value": [0.05, None], "unit": ""}}
     assert found["next_experiment"] is None

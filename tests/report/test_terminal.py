@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from jaxgray import BaseAcceleration, Force, MechanicalModel
-from jaxgray.report.terminal import plus_minus, progress, verdict
+from jaxgray.numerics.text import plus_minus
+from jaxgray.report.identification_rows import verdict
+from jaxgray.report.terminal import progress
 from jaxgray.report.units import displacement_unit, matrix_units
 
 

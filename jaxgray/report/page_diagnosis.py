@@ -1,0 +1,209 @@
+"""The page of a diagnosis: the verdict, then nine parts from the runs to the next experiment."""
+
+from ..diagnosis.result import Diagnosis
+from ..diagnosis.words import place_of, times, title_of
+from .diagnosis_rows import (
+    budget_rows,
+    candidate_rows,
+    candidates,
+    error_kind,
+    error_rows,
+    estimated,
+    experiment_words,
+    findings_rows,
+    gain_words,
+    not_found_rows,
+    output_names,
+    parameter_lines,
+    rivals,
+    shift_rows,
+    what_is_left,
+)
+from .identification_rows import MATRICES, matrix_rows
+from .page_diagnosis_plots import (
+    budget_plot,
+    experiment_plots,
+    missing_force_plots,
+    over_time_plots,
+    ranking_plot,
+    spectrum_plots,
+)
+from .page_parts import Fact, Page, Section, Table, Tables, Words
+from .page_records import record_section
+
+VERDICTS = {
+    "named": "cause named",
+    "equivalent": "causes this record cannot tell apart",
+    "partly": "partly explained",
+    "unexplained": "something is missing that has no name",
+    "noise": "nothing is missing",
+}
+FOLDED = 12
+"""Rows from which a table is closed at first."""
+
+
+def diagnosis_page(diagnosis: Diagnosis, document: dict) -> Page:
+    """The page of a diagnosis.
+
+    **Arguments:** `diagnosis`; `document`: by `diagnosis_document`, whose numbers the page shows.
+
+    **Returns:** a `Page`.
+    """
+    names = output_names(document)
+    causes = _causes(document)
+    titles = [title_of(one["effect"], one["location"], names) for one in causes]
+    return Page(
+        "; ".join(titles) or VERDICTS[document["verdict"]].capitalize(),
+        "diagnosis",
+        VERDICTS[document["verdict"]],
+        document["sentence"],
+        tuple(_card(document, one, names, len(causes)) for one in causes) + (_summary(document, len(causes)),),
+        tuple(section for section in _sections(diagnosis, document) if section.blocks),
+        document,
+    )
+
+
+def _causes(document: dict) -> list[dict]:
+    """Findings of the model that have a name."""
+    return [one for one in document["findings"] if one["stage"] == "model" and one["status"] != "unexplained"]
+
+
+def _card(document: dict, finding: dict, names: tuple[str, ...], count: int) -> tuple[Fact, ...]:
+    """Cause, place, parameters, gain of a finding."""
+    others = ", or ".join(title_of(one["effect"], one["location"], names) for one in rivals(finding))
+    # Of a single finding the gain is that of the whole extension, which the sentence tells.
+    gain = document["extended"]["gain"] if count == 1 and document["extended"] else finding["gain"]
+    seen = "held-out data" if gain and gain["held_out"] else "the data of the fit"
+    return (
+        Fact("Cause", title_of(finding["effect"], "").capitalize(), f"or {others}" if others else finding["status"]),
+        Fact("Place", place_of(finding["location"], names).removeprefix("at ") or "–"),
+        Fact("Size ± standard error", parameter_lines(estimated(finding["parameters"]), fixed=False) or "–"),
+        Fact("Error taken off (95 % interval)", gain_words(gain).removesuffix(", in-sample"), f"on {seen}"),
+    )
+
+
+def _summary(document: dict, causes: int) -> tuple[Fact, ...]:
+    """How far off the model was, what all findings mend, what is left."""
+    before, after = document["baseline"]["excess"], document["remaining"]["excess"]
+    extended = document["extended"]
+    facts = [Fact("Error before", _times(before), "the noise floor, over all outputs")]
+    if extended is not None:
+        facts.append(Fact("Error after", _times(after), _after(document)))
+        if causes > 1:
+            facts.append(Fact("All together take off", gain_words(extended["gain"]), "of the error"))
+    left = "white" if document["remaining"]["white"] else "not white"
+    depends = ", ".join(document["remaining"]["depends_on"])
+    facts.append(Fact("What is left", left, f"depends on {depends}" if depends else ""))
+    return tuple(facts)
+
+
+def _after(document: dict) -> str:
+    """What the error after is measured by."""
+    own = document["baseline"]["noise_floor_source"].startswith("residual of the final")
+    return "the noise floor, which is taken from what is left" if own else "the noise floor; 1 is noise alone"
+
+
+def _times(excess: float | None) -> str:
+    return "–" if excess is None else times(excess)
+
+
+def _sections(diagnosis: Diagnosis, document: dict):
+    kind = {"validation": "data that the fit has not seen", "estimation": "the data of the fit"}[error_kind(document)]
+    findings = findings_rows(document)
+    messages = tuple(
+        f"{title_of(one['effect'], one['location'], output_names(document))}: {one['message']}"
+        for one in document["findings"]
+        if one["message"]
+    )
+    yield Section(
+        "findings",
+        "What was found",
+        "Each finding with its evidence (ΔBIC, from 10 it counts), what it takes off the error, and its parameters.",
+        ((Table(findings, "Findings", False), Words(messages)) if findings.body else ())
+        + (Table(error_rows(document), f"Fit and error of the free run, on {kind}"),)
+        + (Words((f"Left: {what_is_left(document)}.",)),),
+    )
+    windows = "windows" in document["baseline"]["noise_floor_source"]
+    yield Section(
+        "time",
+        "Measured, simulated, extended",
+        f"Free runs from the input alone, on {kind}. Below each, what the models miss, with ±2 σ of the noise shaded: "
+        "a model that lacks nothing stays inside."
+        + (
+            " The runs start anew in every window: over the whole record they would show drift alone."
+            if windows
+            else ""
+        ),
+        tuple(over_time_plots(diagnosis)),
+    )
+    yield Section(
+        "spectra",
+        "Spectra",
+        "Where in frequency the error lies, before and after. What lies on the dashed line is noise."
+        + (" Free runs start anew in every window; their jumps spread over all frequencies." if windows else ""),
+        tuple(spectrum_plots(diagnosis)),
+    )
+    forces = missing_force_plots(diagnosis)
+    yield Section(
+        "missing",
+        "What the model lacks, against what it depends on",
+        "What was measured and the linear part does not account for, other findings taken out. The law that was found "
+        "is drawn on the same motion: as a line where one variable decides it, else as points.",
+        tuple(forces),
+    )
+    ranked = candidate_rows(document)
+    plot = ranking_plot(candidates(document), output_names(document))
+    yield Section(
+        "ranking",
+        "Candidates",
+        "Every effect that passed the gate, how it fared once refitted, and why it was not taken.",
+        ((plot,) if plot else ()) + ((Table(ranked, "Candidates by evidence"),) if ranked.body else ()),
+    )
+    yield Section(
+        "shift",
+        "What it does to mass, damping and stiffness",
+        "Parameters of the model without and with what was found: a linear model hides what it lacks in its numbers.",
+        tuple(_models(document)),
+    )
+    budget = document["budget"]
+    yield Section(
+        "budget",
+        "Error budget",
+        "Where the mean square error of the model before comes from.",
+        (budget_plot(document), Table(budget_rows(document), "Shares of the mean square error")) if budget else (),
+    )
+    missing = not_found_rows(document)
+    yield Section(
+        "not-found",
+        "Looked for and not found",
+        f"{len(missing.body)} other candidates, each with the smallest size that this record would have shown.",
+        (Table(missing, "Smallest visible sizes", len(missing.body) > FOLDED),) if missing.body else (),
+    )
+    proposed = document["next_experiment"]
+    text = "Nothing is left to separate: no experiment is proposed."
+    if document["verdict"] in ("partly", "unexplained"):
+        text = "No experiment is proposed: what is left has no candidates to separate."
+    elif proposed is None and document["verdict"] == "equivalent":
+        text = "No experiment was found that separates the members of the class."
+    yield Section(
+        "experiment",
+        "Next experiment",
+        "The input that best separates what this record cannot tell apart.",
+        (Words((text,)),) if proposed is None else (Words((experiment_words(proposed),)), *experiment_plots(diagnosis)),
+    )
+    yield record_section(diagnosis.records, diagnosis.validation_records, document, _noise(document))
+
+
+def _noise(document: dict) -> str:
+    return f"Noise floor taken from: {document['baseline']['noise_floor_source']}."
+
+
+def _models(document: dict):
+    shifts = shift_rows(document)
+    if shifts is not None:
+        yield Table(shifts, "Before and after, in percent and in standard errors")
+    first = "Your model" if document["own_model"] else "Linear model"
+    for title, part in ((first, document["baseline"]), ("Extended model", document["extended"])):
+        if part is not None:
+            matrices = tuple(Table(matrix_rows(name, part["model"]), name.capitalize()) for name in MATRICES)
+            yield Tables(matrices, f"{title}, ± standard error", shifts is not None)
