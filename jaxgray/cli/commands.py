@@ -118,7 +118,7 @@ def sweep(file: File, channels: Channels, excitation: Excitation, spacing: Spaci
 @app.command(short_help="Run a model freely against a record.")
 @takes_groups
 def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
-    """Run a model freely against a record, its first state and offsets fitted."""
+    """Run a model, its effects included, freely against a record, its first state and offsets fitted."""
     from ..report import terminal
     from . import files
 
@@ -130,7 +130,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
 
         prepare(verbose=talk.verbose)
         from ..identification.validation import fit_of
-        from ..mechanics.simulate import initial_state
+        from ..mechanics.fitted_run import fitted_run
         from ..report import export, summary
 
         model = export.load(simulating.model)
@@ -148,8 +148,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
                 f"{record.inputs} and {record.outputs}; name as many."
             )
         progress.stage("simulating")
-        state, offset = initial_state(model, record.u, record.y, record.sampling_time, hold=record.hold)
-        run = model.simulate(record, x0=state, offset=offset)
+        run = fitted_run(model, record).simulated
         fit = fit_of(record.y, run)
         document = summary.simulation_document(record, fit, tuple(notes))
         written = {}

@@ -70,22 +70,28 @@ def read_pair(file: File, channels: Channels, notes: list[str]) -> tuple[Record,
     return record, None
 
 
-def own_model(path: Path, record: Record, excitation: Excitation, notes: list[str]):
+def own_model(path: Path, record: Record, excitation: Excitation):
     """The user's own model, its channels those of the record.
 
     **Arguments:** `path`: JSON with at least mass, damping and stiffness, or one of our files; `record`: gives names
-    and units, and with `excitation` the way the inputs enter where the file does not say; `notes`: is added to.
+    and units, and with `excitation` the way the inputs enter where the file does not say.
 
     **Returns:** a `MechanicalModel`.
 
-    **Raises:** `ValueError` where the file cannot be read, or does not fit the record.
+    **Raises:** `ValueError` where the file cannot be read, has effects, or does not fit the record.
     """
     import dataclasses
 
     from ..identification.options import drive_of
+    from ..mechanics.model import effect_names
     from ..report import export
 
     model, given = export.load(path), export.given(path)
+    if model.effects:
+        raise ValueError(
+            f"{path} has effects ({effect_names(model)}), and a diagnosis begins with a linear model; write its "
+            f"linear part with `jaxgray export {path} linear.json --linear` and judge that."
+        )
     if model.dofs != record.outputs:
         raise ValueError(f"{path}: the model has {model.dofs} coordinates, --outputs names {record.outputs}.")
     if given["input_map"] or given["base"]:
@@ -107,10 +113,8 @@ def own_model(path: Path, record: Record, excitation: Excitation, notes: list[st
     if given["measured"] and model.measured != record.measured:
         wanted = ",".join(model.measured)
         raise ValueError(f"{path} is for other outputs than the record's: give --measured {wanted}.")
-    if given["effects"]:
-        notes.append(f"{path}: only its mass, damping and stiffness are judged, not its {given['effects']} effects.")
     names = {kind: getattr(record, kind) for kind in ("input_names", "output_names", "input_units", "output_units")}
-    return dataclasses.replace(model, drive=drive, measured=record.measured, effects=(), **names)
+    return dataclasses.replace(model, drive=drive, measured=record.measured, **names)
 
 
 def check_places(*paths) -> None:
