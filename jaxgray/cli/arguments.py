@@ -50,7 +50,9 @@ def _option(*names: str, help: str, metavar: str | None = None):
 class File:
     """What is read, and how."""
 
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, mat, parquet or hdf5.")]
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, npy, mat, parquet, hdf5, uff.")
+    ]
     time: Annotated[str | None, _option("--time", metavar="COLUMN", help="Time column (default: t or time).")] = None
     sampling_time: Annotated[
         float | None, _option("--sampling-time", metavar="SECONDS", help="Instead of a time column.")
@@ -58,6 +60,18 @@ class File:
     scheduling: Annotated[
         str | None, _option("--scheduling", metavar="COLUMN", help="A column the system may depend on.")
     ] = None
+    delimiter: Annotated[
+        str | None, _option("--delimiter", metavar="CHARACTER", help="Between cells of text; tab, space for blanks.")
+    ] = None
+    decimal: Annotated[
+        str | None, _option("--decimal", metavar=".|,", help="Decimal point or comma of text (default: found).")
+    ] = None
+    input_units: Annotated[
+        str | None, _option("--input-units", metavar="N,…", help="Units instead of those in the headers.")
+    ] = None
+    output_units: Annotated[str | None, _option("--output-units", metavar="M,…", help="Likewise of the outputs.")] = (
+        None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

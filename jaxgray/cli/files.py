@@ -8,6 +8,9 @@ import numpy as np
 from ..records import Record, RecordWarning, read_record
 from .arguments import Channels, Excitation, File, words
 
+DELIMITERS = {"tab": "\t", "\\t": "\t", "space": " "}
+"""Words for characters that are hard to type."""
+
 
 def check_holdout(channels: Channels) -> None:
     """Raise `ValueError` where a held-out share is none, or comes with a validation file."""
@@ -50,6 +53,10 @@ def read(path: Path, file: File, channels, notes: list[str]) -> Record:
             hold=channels.hold,
             measured=listed("measured"),
             scheduling=file.scheduling,
+            delimiter=DELIMITERS.get(file.delimiter, file.delimiter),
+            decimal=file.decimal,
+            input_units=None if file.input_units is None else words(file.input_units),
+            output_units=None if file.output_units is None else words(file.output_units),
         )
     for one in caught:
         if issubclass(one.category, RecordWarning):

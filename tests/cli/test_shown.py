@@ -149,6 +149,21 @@ def test_simulate_begins_where_the_whole_model_does(tmp_path, capsys):
     assert np.max(np.abs(model.simulate(u, 0.01, x0=x0) - y)) > 0.05 * np.max(np.abs(y))
 
 
+def test_text_as_the_options_say(records, tmp_path, capsys):
+    """Units, delimiter and decimal comma by option."""
+    text = records[0].read_text().replace(",", "\t").replace(".", ",").replace(" [N]", "").replace(" [m]", "")
+    path = tmp_path / "comma.txt"
+    path.write_text(text)
+    options = ["--delimiter", "tab", "--decimal", ",", "--input-units", "kN,kN", "--output-units", "mm,mm"]
+    run("identify", path, *CHANNELS, *options, "--no-refine", "--json", "-")
+    found = strict(capsys.readouterr().out)["model"]
+    run("identify", records[0], *CHANNELS, "--no-refine", "--json", "-")
+    assert found["stiffness"] == strict(capsys.readouterr().out)["model"]["stiffness"]
+    assert found["units"]["stiffness"][0][0] == "kN/mm"
+    assert main(["identify", str(path), *CHANNELS, "--input-units", "N"]) == 2
+    assert "input_units" in capsys.readouterr().err
+
+
 def test_simulate_refuses_other_channels(identified, records, capsys):
     assert main(["simulate", str(identified / "result.json"), str(records[1]), "--inputs", "u1"]) == 2
     assert "2 inputs" in capsys.readouterr().err
