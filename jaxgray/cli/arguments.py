@@ -200,6 +200,24 @@ class Simulating:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Exporting:
+    """What `export` takes."""
+
+    model: Annotated[Path, typer.Argument(metavar="MODEL.json", help="A model, or a result of identify or diagnose.")]
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Ending in .mat (MATLAB), .xml (MuJoCo), .h (C), .json or .npz.")
+    ]
+    sampling_time: Annotated[
+        float | None,
+        _option("--sampling-time", metavar="SECONDS", help="Of the sampled system (default: that of the record)."),
+    ] = None
+    hold: Annotated[
+        str | None, _option("--hold", metavar="zero|linear", help="The input between samples (default: the record's).")
+    ] = None
+    linear: Annotated[bool, _option("--linear", help="Leave out effects that are not linear.")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Diagnosing:
     """What `diagnose` takes besides the options of `identify`."""
 

@@ -1,8 +1,6 @@
 """The commands, one function each; jax is loaded only once a command runs."""
 
 import dataclasses
-import json
-from pathlib import Path
 
 import typer
 
@@ -10,6 +8,7 @@ from . import diagnosing
 from .arguments import (
     Channels,
     Excitation,
+    Exporting,
     File,
     Fitting,
     Output,
@@ -139,7 +138,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
             simulating,
             inputs=simulating.inputs or model.input_names,
             outputs=simulating.outputs or model.output_names,
-            hold=simulating.hold or _hold_of(simulating.model),
+            hold=simulating.hold or files.record_of(simulating.model).get("hold", "zero"),
         )
         record = files.read(file.file, file, _Wanted(wanted, model.measured), notes)
         if (record.inputs, record.outputs) != (model.inputs, model.dofs):
@@ -166,13 +165,29 @@ class _Wanted:
         self.hold, self.measured = simulating.hold, measured
 
 
-def _hold_of(path: Path) -> str:
-    """The hold of the record that the model came from, where its file says so."""
-    if path.suffix.lower() != ".json":
-        return "zero"
-    records = json.loads(path.read_text(encoding="utf-8")).get("records")
-    estimation = records.get("estimation") if isinstance(records, dict) else None
-    return estimation[0].get("hold", "zero") if estimation else "zero"
+@app.command(short_help="Write a model for MATLAB, MuJoCo or C.")
+@takes_groups
+def export(exporting: Exporting, talk: Talk) -> None:
+    """Write a model for another program, by the ending of the file; effects that it does not know are refused."""
+    from . import files
+    from .environment import prepare
+
+    files.check_places(exporting.out)
+    prepare(verbose=talk.verbose)
+    from ..report import exports
+    from ..report.export import load
+
+    model, record = load(exporting.model), files.record_of(exporting.model)
+    exports.export(
+        model,
+        exporting.out,
+        sampling_time=record.get("sampling_time") if exporting.sampling_time is None else exporting.sampling_time,
+        hold=exporting.hold or record.get("hold", "zero"),
+        linear=exporting.linear,
+    )
+    if not talk.quiet:
+        left = f", {len(model.effects)} effects" if model.effects and not exporting.linear else ""
+        print(f"{exporting.out}: {model.dofs} coordinates, {model.inputs} inputs{left}")
 
 
 app.command(short_help="List the effects that a diagnosis can name.")(diagnosing.effects)

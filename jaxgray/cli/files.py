@@ -1,5 +1,6 @@
 """Reading records and writing results for the commands."""
 
+import json
 import warnings
 from pathlib import Path
 
@@ -90,10 +91,12 @@ def own_model(path: Path, record: Record, excitation: Excitation):
     import dataclasses
 
     from ..identification.options import drive_of
+    from ..mechanics.linear import corrected
     from ..mechanics.model import effect_names
     from ..report import export
 
     model, given = export.load(path), export.given(path)
+    model = corrected(model)
     if model.effects:
         raise ValueError(
             f"{path} has effects ({effect_names(model)}), and a diagnosis begins with a linear model; write its "
@@ -122,6 +125,15 @@ def own_model(path: Path, record: Record, excitation: Excitation):
         raise ValueError(f"{path} is for other outputs than the record's: give --measured {wanted}.")
     names = {kind: getattr(record, kind) for kind in ("input_names", "output_names", "input_units", "output_units")}
     return dataclasses.replace(model, drive=drive, measured=record.measured, **names)
+
+
+def record_of(path: Path) -> dict:
+    """Sampling time and hold of the record that a model came from, where its file says so."""
+    if path.suffix.lower() != ".json":
+        return {}
+    records = json.loads(path.read_text(encoding="utf-8")).get("records")
+    estimation = records.get("estimation") if isinstance(records, dict) else None
+    return estimation[0] if estimation else {}
 
 
 def check_places(*paths) -> None:
