@@ -22,7 +22,7 @@ def test_rooms_stay_small():
     assert not large
 
 
-@pytest.mark.parametrize("name", ["identify", "sweep", "read_record"])
+@pytest.mark.parametrize("name", ["identify", "sweep", "read_record", "diagnose", "export", "to_scipy", "to_control"])
 def test_every_public_argument_is_documented(name):
     import inspect
 
