@@ -32,7 +32,8 @@ class MechanicalModel(eqx.Module):
     **Arguments:** `mass`, `damping`, `stiffness` (dofs × dofs, symmetric); `drive`: how the input enters
     (default: input j is a force on coordinate j); `measured`: "displacement", "velocity" or "acceleration",
     one for all outputs or one per output; `input_names`, `output_names`, `input_units`, `output_units`;
-    `effects`: what is added to the linear model.
+    `effects`: what `simulate` adds to the linear model; modes, zeros, responses and `state_space` are of the linear
+    part.
 
     **Raises:** `ValueError` when shapes or names do not fit together.
     """

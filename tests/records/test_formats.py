@@ -3,8 +3,14 @@
 import sys
 import warnings
 
+import h5py
 import numpy as np
+import pandas
+import pyarrow
 import pytest
+import pyuff
+import xarray
+from pyarrow.parquet import write_table
 from scipy.io import savemat
 
 from jaxgray.records import Record, read_record
@@ -42,7 +48,6 @@ def mat(path):
 
 
 def mat73(path):
-    h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in ARRAYS.items():
             file[name] = np.atleast_2d(value)
@@ -51,17 +56,13 @@ def mat73(path):
 
 
 def hdf5(path):
-    h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w") as file:
         for name, value in ARRAYS.items():
             file[name] = value
 
 
 def parquet(path):
-    pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    parquet.write_table(pyarrow.table(ARRAYS), path)
+    write_table(pyarrow.table(ARRAYS), path)
 
 
 FORMATS = {
@@ -137,11 +138,9 @@ def test_a_record_is_no_file():
 
 
 class TestPandas:
-    pandas = pytest.importorskip("pandas")
-
     def frame(self, index=None, **changes):
         columns = {"force [N]": U, "x1": Y[:, 0], "x2": Y[:, 1]} | changes
-        return self.pandas.DataFrame(columns, index=index)
+        return pandas.DataFrame(columns, index=index)
 
     def read(self, frame, **options):
         return read_record(frame, inputs="force", outputs=["x1", "x2"], **options)
@@ -152,7 +151,7 @@ class TestPandas:
         assert record.input_units == ("N",)
 
     def test_time_as_the_index(self):
-        same(self.read(self.frame(self.pandas.Index(T, name="time"))))
+        same(self.read(self.frame(pandas.Index(T, name="time"))))
         same(self.read(self.frame(T), time="index"))
         with pytest.raises(ValueError, match="no column called t or time"):
             self.read(self.frame())
@@ -160,22 +159,19 @@ class TestPandas:
 
     @pytest.mark.parametrize("zone", [None, "Europe/Stockholm"])
     def test_time_stamps(self, zone):
-        stamps = self.pandas.date_range("2024-03-31 00:59:59.9", periods=SAMPLES, freq="8ms", tz=zone)
+        stamps = pandas.date_range("2024-03-31 00:59:59.9", periods=SAMPLES, freq="8ms", tz=zone)
         same(self.read(self.frame(stamps)))
         same(self.read(self.frame(time=stamps)))
-        same(self.read(self.frame(self.pandas.TimedeltaIndex(stamps - stamps[0]))))
+        same(self.read(self.frame(pandas.TimedeltaIndex(stamps - stamps[0]))))
 
     def test_gaps_in_types_that_numpy_lacks(self):
-        x = self.pandas.array([1, None, *range(2, SAMPLES)], dtype="Int64")
+        x = pandas.array([1, None, *range(2, SAMPLES)], dtype="Int64")
         record = self.read(self.frame(time=T, x1=x))
         np.testing.assert_array_equal(record.y[:3, 0], [1.0, np.nan, 2.0])
 
 
 class TestXarray:
-    xarray = pytest.importorskip("xarray")
-
     def test_a_dataset(self):
-        xarray = self.xarray
         data = xarray.Dataset(
             {"force": ("time", U, {"units": "N"}), "motion": (("time", "side"), Y, {"unit": "m"}), "gain": 3.0},
             coords={"time": T, "side": ["left", "right"]},
@@ -188,13 +184,13 @@ class TestXarray:
 
     def test_time_stamps_and_numbered_columns_in_rows(self):
         stamps = np.datetime64("2024-02-03T04:05:06") + 8 * np.arange(SAMPLES) * np.timedelta64(1, "ms")
-        data = self.xarray.Dataset({"force": ("time", U), "motion": (("side", "time"), Y.T)}, coords={"time": stamps})
+        data = xarray.Dataset({"force": ("time", U), "motion": (("side", "time"), Y.T)}, coords={"time": stamps})
         same(read_record(data, inputs="force", outputs=["motion[0]", "motion[1]"]))
 
     def test_arrays(self):
         channels = np.column_stack([U, Y])
         options = {"dims": ("sample", "channel"), "coords": {"channel": ["force", "x1", "x2"]}}
-        array = self.xarray.DataArray(channels, attrs={"sampling_time": H}, **options)
+        array = xarray.DataArray(channels, attrs={"sampling_time": H}, **options)
         same(read_record(array, inputs="force", outputs=["x1", "x2"]))
         same(read_record(array.rename("run"), inputs="run.force", outputs=["run.x1", "run.x2"]))
 
@@ -229,10 +225,8 @@ def test_a_benchmark_from_local_files(tmp_path):
 
 
 class TestUniversal:
-    pyuff = pytest.importorskip("pyuff")
-
     def signal(self, values, kind, node, direction, unit, *, binary=0, step=H, function=1):
-        return self.pyuff.prepare_58(
+        return pyuff.prepare_58(
             binary=binary,
             func_type=function,
             orddenom_spec_data_type=0,
@@ -256,7 +250,7 @@ class TestUniversal:
         # Its writer leaves files open, and empties a binary one that it opens anew.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ResourceWarning)
-            self.pyuff.UFF(str(path)).write_sets(list(signals), mode="add")
+            pyuff.UFF(str(path)).write_sets(list(signals), mode="add")
         return path
 
     def three(self, **options):

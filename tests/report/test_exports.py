@@ -8,11 +8,14 @@ import re
 import shutil
 import subprocess
 
+import control
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 import scipy.io
 import scipy.signal
+from made_diagnosis import diagnosis
 
 import jaxgray
 from jaxgray.cli import main
@@ -96,7 +99,6 @@ def test_scipy_sampled(name, hold):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_python_control(name):
-    control = pytest.importorskip("control")
     model, u = MODELS[name], inputs(MODELS[name])
     t = H * np.arange(SAMPLES)
     system = jaxgray.to_control(model)
@@ -176,7 +178,6 @@ def test_c(name, tmp_path):
 
 def in_mujoco(path, u, x0, dofs, outputs, sampling_time=H):
     """Outputs of the file's sensors for inputs that are held."""
-    mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
     steps = round(float(model.numeric("steps_per_sample").data[0]))
@@ -281,6 +282,16 @@ def test_our_own_formats_keep_effects_unless_told(tmp_path):
         jaxgray.export(model, path, linear=True)
         linear = jaxgray.load(path)
         assert linear.effects == () and linear.stiffness[0, 1] == linear.stiffness[1, 0] == K[0, 1] + 3.0
+
+
+def test_a_diagnosis_is_its_extended_model(tmp_path):
+    found = diagnosis()
+    jaxgray.save(found, tmp_path / "model.json")
+    model = jaxgray.load(tmp_path / "model.json")
+    np.testing.assert_array_equal(model.stiffness, found.extended.model.stiffness)
+    assert len(model.effects) == len(found.extended.model.effects)
+    jaxgray.export(found, tmp_path / "model.mat", linear=True)
+    np.testing.assert_array_equal(scipy.io.loadmat(tmp_path / "model.mat")["mass"], found.extended.model.mass)
 
 
 def test_wrong_arguments(tmp_path, monkeypatch):
