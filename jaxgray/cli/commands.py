@@ -186,8 +186,11 @@ def export(exporting: Exporting, talk: Talk) -> None:
         linear=exporting.linear,
     )
     if not talk.quiet:
-        left = f", {len(model.effects)} effects" if model.effects and not exporting.linear else ""
-        print(f"{exporting.out}: {model.dofs} coordinates, {model.inputs} inputs{left}")
+        counts = {"coordinate": model.dofs, "input": model.inputs, "effect": len(model.effects)}
+        if exporting.linear:
+            counts["effect"] = 0
+        parts = [f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items() if count]
+        print(f"{exporting.out}: {', '.join(parts)}")
 
 
 app.command(short_help="List the effects that a diagnosis can name.")(diagnosing.effects)
