@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from .records import read_record as read_record
     from .report.export import load as load
     from .report.export import save as save
+    from .report.exports import export as export
+    from .report.exports import to_control as to_control
+    from .report.exports import to_scipy as to_scipy
     from .report.page import write_report as write_report
 
 _HOMES = {
@@ -42,6 +45,7 @@ _HOMES = {
     "records": ("Record", "RecordWarning", "preflight", "read_record"),
     "report.export": ("load", "save"),
     "report.page": ("write_report",),
+    "report.exports": ("export", "to_control", "to_scipy"),
 }
 __all__ = tuple(name for names in _HOMES.values() for name in names)  # noqa: PLE0604
 

@@ -22,7 +22,20 @@ def test_rooms_stay_small():
     assert not large
 
 
-@pytest.mark.parametrize("name", ["identify", "sweep", "read_record", "diagnose", "stabilisation", "write_report"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "identify",
+        "sweep",
+        "read_record",
+        "diagnose",
+        "stabilisation",
+        "write_report",
+        "export",
+        "to_scipy",
+        "to_control",
+    ],
+)
 def test_every_public_argument_is_documented(name):
     import inspect
 

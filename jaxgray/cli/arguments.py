@@ -50,7 +50,9 @@ def _option(*names: str, help: str, metavar: str | None = None):
 class File:
     """What is read, and how."""
 
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, mat, parquet or hdf5.")]
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, npy, mat, parquet, hdf5, uff.")
+    ]
     time: Annotated[str | None, _option("--time", metavar="COLUMN", help="Time column (default: t or time).")] = None
     sampling_time: Annotated[
         float | None, _option("--sampling-time", metavar="SECONDS", help="Instead of a time column.")
@@ -58,6 +60,18 @@ class File:
     scheduling: Annotated[
         str | None, _option("--scheduling", metavar="COLUMN", help="A column the system may depend on.")
     ] = None
+    delimiter: Annotated[
+        str | None, _option("--delimiter", metavar="CHARACTER", help="Between cells of text; tab, space for blanks.")
+    ] = None
+    decimal: Annotated[
+        str | None, _option("--decimal", metavar=".|,", help="Decimal point or comma of text (default: found).")
+    ] = None
+    input_units: Annotated[
+        str | None, _option("--input-units", metavar="N,…", help="Units instead of those in the headers.")
+    ] = None
+    output_units: Annotated[str | None, _option("--output-units", metavar="M,…", help="Likewise of the outputs.")] = (
+        None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,6 +206,24 @@ class Simulating:
         Path | None, _option("--out", metavar="CSV", help="Write time, measured, simulated and residual.")
     ] = None
     json: Annotated[str | None, _option("--json", metavar="OUT", help="Write fits as JSON; - for the screen.")] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exporting:
+    """What `export` takes."""
+
+    model: Annotated[Path, typer.Argument(metavar="MODEL.json", help="A model, or a result of identify or diagnose.")]
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Ending in .mat (MATLAB), .xml (MuJoCo), .h (C), .json or .npz.")
+    ]
+    sampling_time: Annotated[
+        float | None,
+        _option("--sampling-time", metavar="SECONDS", help="Of the sampled system (default: that of the record)."),
+    ] = None
+    hold: Annotated[
+        str | None, _option("--hold", metavar="zero|linear", help="The input between samples (default: the record's).")
+    ] = None
+    linear: Annotated[bool, _option("--linear", help="Leave out effects that are not linear.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)

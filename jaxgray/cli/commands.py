@@ -1,8 +1,6 @@
 """The commands, one function each; jax is loaded only once a command runs."""
 
 import dataclasses
-import json
-from pathlib import Path
 
 import typer
 
@@ -10,6 +8,7 @@ from . import diagnosing
 from .arguments import (
     Channels,
     Excitation,
+    Exporting,
     File,
     Fitting,
     Output,
@@ -127,7 +126,7 @@ def sweep(file: File, channels: Channels, excitation: Excitation, spacing: Spaci
 @app.command(short_help="Run a model freely against a record.")
 @takes_groups
 def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
-    """Run a model freely against a record, its first state and offsets fitted."""
+    """Run a model, its effects included, freely against a record, its first state and offsets fitted."""
     from ..report import terminal
     from . import files
 
@@ -139,7 +138,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
 
         prepare(verbose=talk.verbose)
         from ..identification.validation import fit_of
-        from ..mechanics.simulate import initial_state
+        from ..mechanics.fitted_run import fitted_run
         from ..report import export, summary
 
         model = export.load(simulating.model)
@@ -148,7 +147,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
             simulating,
             inputs=simulating.inputs or model.input_names,
             outputs=simulating.outputs or model.output_names,
-            hold=simulating.hold or _hold_of(simulating.model),
+            hold=simulating.hold or files.record_of(simulating.model).get("hold", "zero"),
         )
         record = files.read(file.file, file, _Wanted(wanted, model.measured), notes)
         if (record.inputs, record.outputs) != (model.inputs, model.dofs):
@@ -157,8 +156,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
                 f"{record.inputs} and {record.outputs}; name as many."
             )
         progress.stage("simulating")
-        state, offset = initial_state(model, record.u, record.y, record.sampling_time, hold=record.hold)
-        run = model.simulate(record, x0=state, offset=offset)
+        run = fitted_run(model, record).simulated
         fit = fit_of(record.y, run)
         document = summary.simulation_document(record, fit, tuple(notes))
         written = {}
@@ -176,13 +174,32 @@ class _Wanted:
         self.hold, self.measured = simulating.hold, measured
 
 
-def _hold_of(path: Path) -> str:
-    """The hold of the record that the model came from, where its file says so."""
-    if path.suffix.lower() != ".json":
-        return "zero"
-    records = json.loads(path.read_text(encoding="utf-8")).get("records")
-    estimation = records.get("estimation") if isinstance(records, dict) else None
-    return estimation[0].get("hold", "zero") if estimation else "zero"
+@app.command(short_help="Write a model for MATLAB, MuJoCo or C.")
+@takes_groups
+def export(exporting: Exporting, talk: Talk) -> None:
+    """Write a model for another program, by the ending of the file; effects that it does not know are refused."""
+    from . import files
+    from .environment import prepare
+
+    files.check_places(exporting.out)
+    prepare(verbose=talk.verbose)
+    from ..report import exports
+    from ..report.export import load
+
+    model, record = load(exporting.model), files.record_of(exporting.model)
+    exports.export(
+        model,
+        exporting.out,
+        sampling_time=record.get("sampling_time") if exporting.sampling_time is None else exporting.sampling_time,
+        hold=exporting.hold or record.get("hold", "zero"),
+        linear=exporting.linear,
+    )
+    if not talk.quiet:
+        counts = {"coordinate": model.dofs, "input": model.inputs, "effect": len(model.effects)}
+        if exporting.linear:
+            counts["effect"] = 0
+        parts = [f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items() if count]
+        print(f"{exporting.out}: {', '.join(parts)}")
 
 
 app.command(short_help="List the effects that a diagnosis can name.")(diagnosing.effects)

@@ -57,7 +57,7 @@ def diagnose(
         only, exclude = ids("--only", diagnosing.only), ids("--exclude", diagnosing.exclude)
         model = None
         if diagnosing.model is not None:
-            model = files.own_model(diagnosing.model, record, excitation, notes)
+            model = files.own_model(diagnosing.model, record, excitation)
         from ..diagnosis.diagnose import diagnose
         from ..report.diagnosis_summary import diagnosis_document
         from ..report.diagnosis_terminal import show_diagnosis

@@ -1,5 +1,6 @@
 """Reading records and writing results for the commands."""
 
+import json
 import warnings
 from pathlib import Path
 
@@ -7,6 +8,9 @@ import numpy as np
 
 from ..records import Record, RecordWarning, read_record
 from .arguments import Channels, Excitation, File, words
+
+DELIMITERS = {"tab": "\t", "\\t": "\t", "space": " "}
+"""Words for characters that are hard to type."""
 
 
 def check_holdout(channels: Channels) -> None:
@@ -50,6 +54,10 @@ def read(path: Path, file: File, channels, notes: list[str]) -> Record:
             hold=channels.hold,
             measured=listed("measured"),
             scheduling=file.scheduling,
+            delimiter=DELIMITERS.get(file.delimiter, file.delimiter),
+            decimal=file.decimal,
+            input_units=None if file.input_units is None else words(file.input_units),
+            output_units=None if file.output_units is None else words(file.output_units),
         )
     for one in caught:
         if issubclass(one.category, RecordWarning):
@@ -70,22 +78,30 @@ def read_pair(file: File, channels: Channels, notes: list[str]) -> tuple[Record,
     return record, None
 
 
-def own_model(path: Path, record: Record, excitation: Excitation, notes: list[str]):
+def own_model(path: Path, record: Record, excitation: Excitation):
     """The user's own model, its channels those of the record.
 
     **Arguments:** `path`: JSON with at least mass, damping and stiffness, or one of our files; `record`: gives names
-    and units, and with `excitation` the way the inputs enter where the file does not say; `notes`: is added to.
+    and units, and with `excitation` the way the inputs enter where the file does not say.
 
     **Returns:** a `MechanicalModel`.
 
-    **Raises:** `ValueError` where the file cannot be read, or does not fit the record.
+    **Raises:** `ValueError` where the file cannot be read, has effects, or does not fit the record.
     """
     import dataclasses
 
     from ..identification.options import drive_of
+    from ..mechanics.linear import corrected
+    from ..mechanics.model import effect_names
     from ..report import export
 
     model, given = export.load(path), export.given(path)
+    model = corrected(model)
+    if model.effects:
+        raise ValueError(
+            f"{path} has effects ({effect_names(model)}), and a diagnosis begins with a linear model; write its "
+            f"linear part with `jaxgray export {path} linear.json --linear` and judge that."
+        )
     if model.dofs != record.outputs:
         raise ValueError(f"{path}: the model has {model.dofs} coordinates, --outputs names {record.outputs}.")
     if given["input_map"] or given["base"]:
@@ -107,10 +123,17 @@ def own_model(path: Path, record: Record, excitation: Excitation, notes: list[st
     if given["measured"] and model.measured != record.measured:
         wanted = ",".join(model.measured)
         raise ValueError(f"{path} is for other outputs than the record's: give --measured {wanted}.")
-    if given["effects"]:
-        notes.append(f"{path}: only its mass, damping and stiffness are judged, not its {given['effects']} effects.")
     names = {kind: getattr(record, kind) for kind in ("input_names", "output_names", "input_units", "output_units")}
-    return dataclasses.replace(model, drive=drive, measured=record.measured, effects=(), **names)
+    return dataclasses.replace(model, drive=drive, measured=record.measured, **names)
+
+
+def record_of(path: Path) -> dict:
+    """Sampling time and hold of the record that a model came from, where its file says so."""
+    if path.suffix.lower() != ".json":
+        return {}
+    records = json.loads(path.read_text(encoding="utf-8")).get("records")
+    estimation = records.get("estimation") if isinstance(records, dict) else None
+    return estimation[0] if estimation else {}
 
 
 def check_places(*paths) -> None:

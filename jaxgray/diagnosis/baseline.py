@@ -9,7 +9,7 @@ from ..identification import Identification
 from ..identification.physical import Scaling
 from ..identification.preparation import scaling_of
 from ..identification.structure import Structure
-from ..mechanics.model import MechanicalModel
+from ..mechanics.model import MechanicalModel, effect_names
 from ..mechanics.simulate import initial_state
 from ..records import Record
 from .problem import Candidate, Data, Setup
@@ -43,6 +43,11 @@ def baseline_of(
     """
     own = model is not None
     if own:
+        if model.effects:
+            raise ValueError(
+                f"model has effects ({effect_names(model)}), and a diagnosis begins with a linear model; give "
+                "dataclasses.replace(model, effects=())."
+            )
         first = records[0]
         if (model.inputs, model.dofs) != (first.inputs, first.outputs):
             raise ValueError(

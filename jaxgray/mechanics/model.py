@@ -19,6 +19,11 @@ def _matrix(value, name: str) -> Array:
     return X
 
 
+def effect_names(model) -> str:
+    """The effects of a model for a message: `coulomb_friction at y1, end_stop at y2`."""
+    return ", ".join(f"{term.effect.id} at {term.place.name}" for term in model.effects)
+
+
 class MechanicalModel(eqx.Module):
     """A linear mechanical system in continuous time, in the units of the record it came from.
 
@@ -27,7 +32,8 @@ class MechanicalModel(eqx.Module):
     **Arguments:** `mass`, `damping`, `stiffness` (dofs × dofs, symmetric); `drive`: how the input enters
     (default: input j is a force on coordinate j); `measured`: "displacement", "velocity" or "acceleration",
     one for all outputs or one per output; `input_names`, `output_names`, `input_units`, `output_units`;
-    `effects`: what is added to the linear model.
+    `effects`: what `simulate` adds to the linear model; modes, zeros, responses and `state_space` are of the linear
+    part.
 
     **Raises:** `ValueError` when shapes or names do not fit together.
     """
@@ -156,7 +162,7 @@ class MechanicalModel(eqx.Module):
         force_noise_ratio=0.0,
         output_noise=None,
     ):
-        """One-step prediction.
+        """One-step prediction; of linear models, unless `force_noise_ratio` is 0, which makes it the free run.
 
         **Arguments:** `u`: a `Record`, or inputs; `y`, `sampling_time` [s]: only without a record; `hold`:
         default the record's, or "zero"; `x0`, `offset`, `force_noise_ratio`, `output_noise`: as for
@@ -164,12 +170,13 @@ class MechanicalModel(eqx.Module):
 
         **Returns:** the predicted outputs (samples × outputs).
 
-        **Raises:** as `simulate`.
+        **Raises:** as `simulate`, and `ValueError` where the model has effects and noise at the inputs is asked for.
         """
         from .simulate import predict, signals_of
 
+        noise = {"scheduling": getattr(u, "scheduling", None)}
         u, y, sampling_time, hold = signals_of(u, y, sampling_time, hold)
-        noise = {"force_noise_ratio": force_noise_ratio, "output_noise": output_noise}
+        noise |= {"force_noise_ratio": force_noise_ratio, "output_noise": output_noise}
         return predict(self, u, y, sampling_time, hold=hold, x0=x0, offset=offset, **noise)
 
     def modes(self):

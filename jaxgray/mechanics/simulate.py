@@ -13,11 +13,15 @@ from ..numerics.runtime import ready
 from ..records import Record
 from ..records.channels import as_channels, as_seconds
 from .extended import Plant, extended_run
-from .model import MechanicalModel
+from .first_state import refined_state
+from .model import MechanicalModel, effect_names
 from .statespace import StateSpace, check_hold, hold_matrices, sampled
 
 RANK_TOLERANCE = 1e-10
 """Relative singular value below which a direction of first state and offset is not determined."""
+
+SCHEDULED = ("position_dependent_stiffness",)
+"""Effects that read the scheduling channel."""
 
 LEAST_NOISE = 1e-6
 """Output noise, relative to the output, that prediction assumes at least: without, it has no gain."""
@@ -93,8 +97,8 @@ def simulate(
     `sampling_time` [s]; `hold`: the input between samples, "zero" (default) or "linear"; `x0`: displacements,
     then velocities of the coordinates at the first sample (relative to the base where the base acceleration
     is the input), default at rest, a measured base at zero until the first sample; `offset`: constant added
-    to each output, default none; `scheduling`: channel (samples) that some effects read, default zeros;
-    `substeps`: steps per sample of the forces that effects add, default 1; the error falls with their square.
+    to each output, default none; `scheduling`: channel (samples), for effects that read it; `substeps`: steps per
+    sample of the forces that effects add, default 1; the error falls with their square.
 
     **Returns:** the outputs (samples × outputs), in the output units.
 
@@ -103,9 +107,8 @@ def simulate(
     """
     u, h = _input(model, u, sampling_time, hold)
     x0 = _vector("x0", x0, 2 * model.dofs, "displacements, then velocities")
-    if not isinstance(substeps, int) or substeps < 1:
-        raise ValueError(f"substeps is {substeps!r}; give a whole number, 1 or more.")
-    p = None if scheduling is None else _vector("scheduling", scheduling, len(u), "one value per sample")
+    _steps(substeps)
+    p = _scheduling(model, scheduling, len(u))
     y = np.asarray(free_run(model, u, h, hold, x0, scheduling=p, substeps=substeps))
     offset = _vector("offset", offset, model.dofs, "one value per output")
     if offset is not None:
@@ -116,17 +119,27 @@ def simulate(
 
 
 def initial_state(
-    model: MechanicalModel, u, y, sampling_time: float, *, hold: str = "zero", offset: bool = True, kept=None
+    model: MechanicalModel,
+    u,
+    y,
+    sampling_time: float,
+    *,
+    hold: str = "zero",
+    offset: bool = True,
+    kept=None,
+    scheduling=None,
+    substeps: int = 1,
 ) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, " outputs"]]:
     """First state and constant output offset by which a model's free run comes nearest to a record.
 
     min Σ ((y − ŷ − offset)/σ)² over the first state and the offsets, a linear least squares with each output
     in units of its own standard deviation σ. Where the two cannot be told apart (a rigid body may
-    stand anywhere) the smallest solution is taken, every unknown counted by what it moves.
+    stand anywhere) the smallest solution is taken, every unknown counted by what it moves. With effects the
+    least squares are no longer linear; they start from the solution without.
 
     **Arguments:** `model`; `u`, `y`: inputs and outputs (samples × channels), NaN in `y` where missing;
     `sampling_time` [s]; `hold`: "zero" (default) or "linear"; `offset`: whether outputs may have one, default
-    True; `kept`: which samples (or samples × outputs) count, default all.
+    True; `kept`: which samples (or samples × outputs) count, default all; `scheduling`, `substeps`: as for `simulate`.
 
     **Returns:** `x0` (displacements, then velocities at the first sample) and `offset`, as `simulate` takes
     them.
@@ -136,6 +149,8 @@ def initial_state(
     """
     u, h = _input(model, u, sampling_time, hold)
     y = _output(model, y, u)
+    _steps(substeps)
+    p = _scheduling(model, scheduling, len(u))
     dofs, samples = model.dofs, len(y)
     known = np.isfinite(y)
     if kept is not None:
@@ -148,7 +163,8 @@ def initial_state(
     system, held, to_speed = _sampled_model(model, h, hold)
     forced = np.asarray(_respond(system.A, system.B, system.C, system.D, u, jnp.zeros(2 * dofs)))
     free = np.asarray(_free_response(system.A, system.C, samples))
-    if not (np.isfinite(forced).all() and np.isfinite(free).all()):
+    bounded = np.isfinite(forced).all() and np.isfinite(free).all()
+    if not bounded and not model.effects:
         raise ComputationError(
             RESULTS.nonfinite, stage="initial state", detail="the model's motion grows without bound"
         )
@@ -156,17 +172,26 @@ def initial_state(
     measured = np.where(known, y, 0.0)
     size = np.sqrt(np.sum(np.where(known, measured - measured.sum(axis=0) / counted, 0.0) ** 2, axis=0) / counted)
     weight = known / np.where(size > 0, size, 1.0)
-    table = free
-    if offset:
-        table = np.concatenate([free, np.broadcast_to(np.eye(dofs), (samples, dofs, dofs))], axis=2)
-    table = (table * weight[:, :, None])[known]
-    norm = np.linalg.norm(table, axis=0)
-    norm = np.where(norm > 0, norm, 1.0)
-    target = ((measured - forced) * weight)[known]
-    found = np.linalg.lstsq(table / norm, target, rcond=RANK_TOLERANCE)[0] / norm
-    state = found[: 2 * dofs] + np.asarray((held + to_speed) @ u[0])
-    state = np.concatenate([state[:dofs], state[dofs:] / float(h)])
-    return state, found[2 * dofs :] if offset else np.zeros(dofs)
+    found = np.zeros(2 * dofs), np.zeros(dofs)
+    if bounded:
+        table = free
+        if offset:
+            table = np.concatenate([free, np.broadcast_to(np.eye(dofs), (samples, dofs, dofs))], axis=2)
+        table = (table * weight[:, :, None])[known]
+        norm = np.linalg.norm(table, axis=0)
+        norm = np.where(norm > 0, norm, 1.0)
+        solution = np.linalg.lstsq(table / norm, ((measured - forced) * weight)[known], rcond=RANK_TOLERANCE)[0] / norm
+        state = solution[: 2 * dofs] + np.asarray((held + to_speed) @ u[0])
+        found = np.concatenate([state[:dofs], state[dofs:] / float(h)]), solution[2 * dofs :] if offset else found[1]
+    if not model.effects:
+        return found
+    rest = np.zeros(2 * dofs), np.zeros(dofs)
+    run = eqx.Partial(_from_state, model, u, h, hold, p, substeps if substeps == 1 else jnp.asarray(substeps))
+    return refined_state(run, [found, rest], measured, weight, offset)
+
+
+def _from_state(model, u, sampling_time, hold, scheduling, substeps, x0):
+    return free_run(model, u, sampling_time, hold, x0, scheduling=scheduling, substeps=substeps)
 
 
 @eqx.filter_jit
@@ -198,6 +223,7 @@ def predict(
     offset=None,
     force_noise_ratio=0.0,
     output_noise=None,
+    scheduling=None,
 ) -> Float[np.ndarray, "samples outputs"]:
     """One-step prediction: every output from the inputs and all earlier outputs.
 
@@ -205,23 +231,28 @@ def predict(
     ρ diag(mean square of each input), and at the outputs. Without noise at the inputs it is the free run.
 
     **Arguments:** `model`; `u`, `y`: inputs and outputs (samples × channels), NaN in `y` where missing;
-    `sampling_time` [s]; `hold`: "zero" (default) or "linear"; `x0`, `offset`: as for `simulate`;
+    `sampling_time` [s]; `hold`: "zero" (default) or "linear"; `x0`, `offset`, `scheduling`: as for `simulate`;
     `force_noise_ratio` (ρ): one for all inputs or one per input, default 0; `output_noise`: standard
     deviation of the noise per output, default from the second differences of the free-run residual.
 
     **Returns:** the predicted outputs (samples × outputs).
 
-    **Raises:** `ValueError` where an argument does not fit; `ComputationError` where the outputs are not
-    finite.
+    **Raises:** `ValueError` where an argument does not fit, or where the model has effects and noise at the inputs
+    is asked for; `ComputationError` where the outputs are not finite.
 
     **Reference:** Ljung, *System Identification*, §4.3 (innovations form).
     """
-    free = simulate(model, u, sampling_time, hold=hold, x0=x0, offset=offset)
-    u, h = _input(model, u, sampling_time, hold)
-    y = _output(model, y, u)
     ratio = np.broadcast_to(np.asarray(force_noise_ratio, dtype=float), model.inputs)
     if not (np.isfinite(ratio).all() and (ratio >= 0).all()):
         raise ValueError(f"force_noise_ratio is {force_noise_ratio}; give finite ratios, 0 or more.")
+    if ratio.any() and model.effects:
+        raise ValueError(
+            f"model has effects ({effect_names(model)}), and one-step prediction is linear only; call simulate, or "
+            "predict with dataclasses.replace(model, effects=())."
+        )
+    free = simulate(model, u, sampling_time, hold=hold, x0=x0, offset=offset, scheduling=scheduling)
+    u, h = _input(model, u, sampling_time, hold)
+    y = _output(model, y, u)
     if not ratio.any():
         return free
     residual = y - free
@@ -288,6 +319,20 @@ def _output(model, y, u) -> Float[np.ndarray, "samples outputs"]:
             f"y has shape {y.shape}; give {(len(u), model.dofs)}, as many samples as u and a column per output."
         )
     return y
+
+
+def _steps(substeps) -> None:
+    if not isinstance(substeps, int) or substeps < 1:
+        raise ValueError(f"substeps is {substeps!r}; give a whole number, 1 or more.")
+
+
+def _scheduling(model, scheduling, samples) -> Array | None:
+    if scheduling is not None:
+        return _vector("scheduling", scheduling, samples, "one value per sample")
+    for term in model.effects:
+        if term.effect.id in SCHEDULED:
+            raise ValueError(f"scheduling is missing, and {term.effect.id} of the model reads it; give the channel.")
+    return None
 
 
 def _vector(name, given, length, meaning) -> Array | None:

@@ -1,4 +1,4 @@
-"""Arrays by name: npz, mat, hdf5, parquet and data frames."""
+"""Arrays by name: npz, npy, mat, hdf5 and parquet."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -28,8 +28,30 @@ def read_npz(path: Path) -> Table:
                 with suppress(ValueError):
                     arrays[name] = archive[name]
     except Exception as error:  # A damaged file fails in as many ways as the library has steps.
-        raise ValueError(f"{path.name} is no npz archive of numbers ({_one_line(error)}).") from None
+        raise ValueError(f"{path.name} is no npz archive of numbers ({one_line(error)}).") from None
     return table_of_arrays(path.name, arrays)
+
+
+def read_npy(path: Path) -> Table:
+    """One NumPy array, mapped into memory, so that only what is used is read.
+
+    Columns of a structured array bear the names of its fields, those of a plain one are `data[0]`, `data[1]`, ….
+
+    **Arguments:**
+
+    - `path`: the file.
+
+    **Returns:** a `Table`.
+
+    **Raises:** `ValueError` where the file is no array of numbers.
+    """
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:  # A damaged file fails in as many ways as the library has steps.
+        raise ValueError(f"{path.name} is no npy array of numbers ({one_line(error)}).") from None
+    if array.dtype.names is not None:
+        return table_of_arrays(path.name, {name: array[name] for name in array.dtype.names})
+    return table_of_arrays(path.name, {"data": array})
 
 
 def read_mat(path: Path) -> Table:
@@ -51,7 +73,7 @@ def read_mat(path: Path) -> Table:
         # Version 7.3 is HDF5 with the axes the other way round.
         return read_hdf5(path, transposed=True)
     except Exception as error:  # A damaged file fails in as many ways as the library has steps.
-        raise ValueError(f"{path.name} is no MATLAB file ({_one_line(error)}).") from None
+        raise ValueError(f"{path.name} is no MATLAB file ({one_line(error)}).") from None
     arrays = {name: value for name, value in _members(found) if not name.startswith("__")}
     return table_of_arrays(path.name, arrays)
 
@@ -88,7 +110,7 @@ def read_hdf5(path: Path, *, transposed: bool = False) -> Table:
 
             file.visititems(visit)
     except OSError as error:
-        raise ValueError(f"{path.name} is no HDF5 file ({_one_line(error)}).") from None
+        raise ValueError(f"{path.name} is no HDF5 file ({one_line(error)}).") from None
     return table_of_arrays(path.name, arrays, units)
 
 
@@ -112,30 +134,12 @@ def read_parquet(path: Path) -> Table:
     try:
         table = pyarrow.parquet.read_table(path)
     except (pyarrow.ArrowException, OSError) as error:
-        raise ValueError(f"{path.name} is no Parquet file ({_one_line(error)}).") from None
+        raise ValueError(f"{path.name} is no Parquet file ({one_line(error)}).") from None
 
     def column(position: int) -> np.ndarray:
         return table.column(position).to_numpy()
 
     return Table(path.name, tuple(table.column_names), column)
-
-
-def table_of_frame(frame) -> Table:
-    """A data frame (pandas, polars or alike), known by its `columns`.
-
-    **Arguments:**
-
-    - `frame`: the data frame.
-
-    **Returns:** a `Table`.
-    """
-    headers = tuple(str(name) for name in frame.columns)
-    labels = list(frame.columns)
-
-    def column(position: int) -> np.ndarray:
-        return np.asarray(frame[labels[position]])
-
-    return Table("the data frame", headers, column)
 
 
 def table_of_arrays(source: str, arrays: Mapping[str, object], units=None) -> Table:
@@ -180,5 +184,6 @@ def _members(found: Mapping, prefix: str = "") -> Iterator[tuple[str, object]]:
             yield prefix + name, value
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """What an error of a library says, in a line."""
     return str(error).strip().partition("\n")[0][:120] or type(error).__name__

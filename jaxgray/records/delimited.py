@@ -11,6 +11,8 @@ from jaxgray.records.table import Table, split_unit
 DELIMITERS = ("\t", ";", "|", ",")
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 
+_COMMA = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
+
 # A word with its unit, so that `force [N m]` stays together between blanks.
 _WORD = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 
@@ -153,8 +155,9 @@ def _column_with_gaps(path, name, cells, rows, position, numbers) -> np.ndarray:
         try:
             values[k] = np.nan if cell.lower() in MISSING else float(cell)
         except ValueError:
+            hint = ", or say that the decimal is a comma" if _COMMA.match(cell) else ""
             raise ValueError(
                 f"column {name!r} of {path.name} holds the text {rows[k][position].strip()!r} at line "
-                f"{numbers[k]}; give numbers, and leave missing cells empty."
+                f"{numbers[k]}; give numbers, and leave missing cells empty{hint}."
             ) from None
     return values

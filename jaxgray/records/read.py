@@ -10,10 +10,12 @@ import numpy as np
 
 from jaxgray.records.channels import as_seconds
 from jaxgray.records.clock import Clock, read_clock, seconds_per
-from jaxgray.records.containers import read_hdf5, read_mat, read_npz, read_parquet, table_of_frame
+from jaxgray.records.containers import read_hdf5, read_mat, read_npy, read_npz, read_parquet
 from jaxgray.records.delimited import read_delimited
+from jaxgray.records.memory import TIME_NAMES, table_in_memory
 from jaxgray.records.record import Record
 from jaxgray.records.table import Table
+from jaxgray.records.universal import read_universal
 
 # A new format is one reader and one row.
 READERS = {
@@ -22,12 +24,14 @@ READERS = {
     ".txt": read_delimited,
     ".dat": read_delimited,
     ".npz": read_npz,
+    ".npy": read_npy,
     ".mat": read_mat,
     ".parquet": read_parquet,
     ".h5": read_hdf5,
     ".hdf5": read_hdf5,
+    ".uff": read_universal,
+    ".unv": read_universal,
 }
-TIME_NAMES = ("t", "time")
 JITTER_WARNING = 0.01
 
 
@@ -50,7 +54,7 @@ def read_record(
     input_units: Sequence[str] | None = None,
     output_units: Sequence[str] | None = None,
 ) -> Record:
-    """Read a record from csv (tsv, txt, dat), npz, mat, parquet or hdf5, or take it from a data frame.
+    """Read a record from csv (tsv, txt, dat), npz, npy, mat, parquet, hdf5 or uff, or take it from a table in memory.
 
     Headers may carry units, `force [N]` or `force (N)`, which are stripped from the name; time in `ms`, `µs`,
     `min` or `h` becomes seconds. Columns of a 2-D array `u` are `u[0]`, `u[1]`, …. Rows that are missing from
@@ -58,7 +62,8 @@ def read_record(
 
     **Arguments:**
 
-    - `path`: the file, or a data frame.
+    - `path`: the file; or a data frame, an xarray object, a dictionary of arrays, or a record of the package
+        `nonlinear_benchmarks`, of which the columns are `u` and `y`.
     - `inputs`, `outputs`: names of the columns, one or several.
     - `time`: name of the time column; default `t` or `time` in any case, unless `sampling_time` is given.
     - `sampling_time`: time between rows in s, for files without a time column; default `sampling_time` in the
@@ -124,10 +129,16 @@ def _name_list(argument: str, given) -> tuple[str, ...]:
 
 
 def _open(path, delimiter: str | None, decimal: str | None) -> Table:
-    if hasattr(path, "columns"):
-        return table_of_frame(path)
+    if isinstance(path, Record):
+        raise ValueError("path is a Record already; use it as it is, or record.select(inputs=…, outputs=…).")
     if not isinstance(path, (str, os.PathLike)):
-        raise ValueError(f"path is of type {type(path).__name__}; give the path of a file, or a data frame.")
+        table = table_in_memory(path)
+        if table is None:
+            raise ValueError(
+                f"path is of type {type(path).__name__}; give the path of a file, a data frame, an xarray object or a "
+                "dictionary of arrays."
+            )
+        return table
     path = Path(path)
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"

@@ -28,12 +28,12 @@ SYMMETRY = 1e-8
 def save(result_or_model, path) -> None:
     """Write a model, or the model of a result, to a file; the file is whole or not there.
 
-    **Arguments:** `result_or_model`: a `MechanicalModel`, or anything that has one as `.model`; `path`:
-    ending in .json or .npz.
+    **Arguments:** `result_or_model`: a `MechanicalModel`, an identification, or a diagnosis (its extended model, with
+    effects, where it has one); `path`: ending in .json or .npz.
 
     **Raises:** `ValueError` for another ending.
     """
-    model = result_or_model if isinstance(result_or_model, MechanicalModel) else result_or_model.model
+    model = model_of(result_or_model)
     document = {"schema": SCHEMA, **model_document(model)}
     kind = _kind(path)
     if kind == ".json":
@@ -47,6 +47,21 @@ def save(result_or_model, path) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, **{key: np.asarray(value) for key, value in document.items()})
     write_whole(buffer.getvalue(), path)
+
+
+def model_of(result_or_model) -> MechanicalModel:
+    """The model itself, or that of a result: of an identification, or of a diagnosis, extended where it is so.
+
+    **Raises:** `ValueError` for anything else.
+    """
+    if isinstance(result_or_model, MechanicalModel):
+        return result_or_model
+    for name in ("model", "extended", "baseline"):
+        part = getattr(result_or_model, name, None)
+        model = getattr(part, "model", part)
+        if isinstance(model, MechanicalModel):
+            return model
+    raise ValueError(f"there is no model in a {type(result_or_model).__name__}; give a model or a result.")
 
 
 def model_document(model: MechanicalModel) -> dict:

@@ -14,6 +14,7 @@ from made_diagnosis import diagnosis, equivalent, experiment
 import jaxgray
 from jaxgray import demonstration_effects as effects
 from jaxgray.cli import main
+from jaxgray.report import export
 
 CHANNELS = ["--inputs", "u1,u2", "--outputs", "y1,y2"]
 MATRICES = {"mass": [[2, 0], [0, 1]], "damping": [[3, 0], [0, 1]], "stiffness": [[100, -5], [-5, 100]]}
@@ -123,13 +124,14 @@ def test_the_users_own_model_takes_the_names_of_the_record(asked, records, model
     np.testing.assert_array_equal(asked.options["model"].drive.input_map, [[1, 0], [-1, 1]])
 
 
-def test_effects_of_a_given_model_are_left_out_and_that_is_said(asked, records, model, capsys):
+def test_a_given_model_with_effects_is_refused(records, model, capsys):
     stop = {"effect": "end_stop", "location": "a-b", "parameters": {"ks": 30.0, "gap": 0.1}}
     path = model(effects=[stop], output_names=["a", "b"])
-    run("diagnose", records[0], *CHANNELS, "--model", path, "--quiet", "--json", "-")
-    assert "not its 1 effects" in strict(capsys.readouterr().out)["warnings"][0]
-    assert asked.options["model"].output_names == ("y1", "y2")
-    assert asked.options["model"].effects == ()
+    texts = "has effects (end_stop at a-b)", "begins with a linear model", "linear.json --linear"
+    fails(capsys, ["diagnose", records[0], *CHANNELS, "--model", path], *texts)
+    given = export.load(path)
+    with pytest.raises(ValueError, match="effects .end_stop at a-b., .*replace.model, effects="):
+        jaxgray.diagnose(jaxgray.read_record(records[0], inputs=["u1", "u2"], outputs=["y1", "y2"]), model=given)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,9 @@ from independent import REFERENCE, REFERENCE_TIME, reference_record, relative_er
 
 import jaxgray
 from jaxgray.cli import main
+from jaxgray.mechanics.simulate import initial_state
 from jaxgray.report.figures import MOST_POINTS, bode, compare, residuals, sweep_map
+from jaxgray.report.terms import term_of
 
 CHANNELS = ["--inputs", "u1,u2", "--outputs", "y1,y2"]
 
@@ -126,6 +128,41 @@ def test_simulate_takes_the_result_and_repeats_its_fit(identified, records, tmp_
     table = jaxgray.read_record(out, inputs="y1 measured", outputs=["y1 simulated", "y1 residual"])
     assert table.output_units == ("m", "m")
     np.testing.assert_allclose(table.u[:, 0] - table.y[:, 0], table.y[:, 1], atol=1e-15)
+
+
+def test_simulate_begins_where_the_whole_model_does(tmp_path, capsys):
+    """A friction that sticks for long: from the first state of the linear part alone, the run starts elsewhere."""
+    M, D, K = (np.array([[float(x)]]) for x in (1.0, 0.5, 100.0))
+    friction = term_of(
+        {"effect": "coulomb_friction", "location": "y1", "parameters": {"Fc": 2.0, "eps": 0.02}}, ["u1"], ["y1"]
+    )
+    model = jaxgray.MechanicalModel(M, D, K, effects=(friction,))
+    u = np.repeat(np.random.default_rng(1).uniform(-3, 3, 20), 20)
+    y = model.simulate(u, 0.01, x0=[0.2, 1.0], substeps=32)
+    path = tmp_path / "start.csv"
+    rows = zip(0.01 * np.arange(len(u)), u, y[:, 0])
+    path.write_text("\n".join(["t,u1,y1", *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n")
+    jaxgray.save(model, tmp_path / "model.json")
+    run("simulate", tmp_path / "model.json", path, "--json", "-")
+    assert strict(capsys.readouterr().out)["fit_percent"]["y1"] > 99.9
+    linear = dataclasses.replace(model, effects=())
+    x0, _ = initial_state(linear, u, y, 0.01)
+    assert np.max(np.abs(model.simulate(u, 0.01, x0=x0) - y)) > 0.05 * np.max(np.abs(y))
+
+
+def test_text_as_the_options_say(records, tmp_path, capsys):
+    """Units, delimiter and decimal comma by option."""
+    text = records[0].read_text().replace(",", "\t").replace(".", ",").replace(" [N]", "").replace(" [m]", "")
+    path = tmp_path / "comma.txt"
+    path.write_text(text)
+    options = ["--delimiter", "tab", "--decimal", ",", "--input-units", "kN,kN", "--output-units", "mm,mm"]
+    run("identify", path, *CHANNELS, *options, "--no-refine", "--json", "-")
+    found = strict(capsys.readouterr().out)["model"]
+    run("identify", records[0], *CHANNELS, "--no-refine", "--json", "-")
+    assert found["stiffness"] == strict(capsys.readouterr().out)["model"]["stiffness"]
+    assert found["units"]["stiffness"][0][0] == "kN/mm"
+    assert main(["identify", str(path), *CHANNELS, "--input-units", "N"]) == 2
+    assert "input_units" in capsys.readouterr().err
 
 
 def test_simulate_refuses_other_channels(identified, records, capsys):

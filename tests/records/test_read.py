@@ -197,7 +197,7 @@ def test_paths_that_are_no_file(tmp_path, write):
         read_record(write("t,u\n", "record.docx"), **some)
     with pytest.raises(ValueError, match=r"did you mean .hdf5\?"):
         read_record(write("t,u\n", "record.hdf"), **some)
-    with pytest.raises(ValueError, match="path is of type int"):
+    with pytest.raises(ValueError, match="path is of type int; give the path of a file, a data frame"):
         read_record(3, **some)
 
 
