@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from ..mechanics.drives import Force
 from ..mechanics.effects.base import AbstractForceEffect, AbstractInputEffect, Term
-from ..mechanics.extended import input_matrix_of
-from .force_rows import Series, arm_at, band_of, contribution, series_of
+from ..mechanics.extended import arm_along, input_matrix_of
+from .force_rows import Series, band_of, contribution, series_of
 from .result import Curves, Diagnosis, Finding
 
 MOST_ROWS = 1500
@@ -119,7 +119,7 @@ class _Equation:
         name = term.effect.id, term.place.name
         others = sum((law for key, law in self.laws.items() if key != name), np.zeros_like(self.rest))
         at_input = isinstance(term.effect, AbstractInputEffect)
-        arm = self.input_map[:, term.place.first] if at_input else arm_at(term.effect, term.place, self.input_map)
+        arm = arm_along(term.effect, term.place, self.input_map)
         along = arm / (arm @ arm)
         error = sum(((step @ along) ** 2 for step in self._steps(finding, term)), np.zeros(len(self.rest)))
         kept = self._kept()

@@ -4,9 +4,9 @@ import dataclasses
 
 from ..records import Record
 from .assembly import estimates_of, term_errors
+from .bench import Bench
 from .competitor import FlexibleForce
 from .growth import Growth
-from .refitting import Bench
 from .result import Gated, Rejected
 
 MOST = 40
