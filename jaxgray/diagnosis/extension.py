@@ -276,28 +276,22 @@ class _Equations:
     """Information, gradient, cost, count, residuals and Jacobians at a candidate; None where it overflows.
 
     The chain does not count the first samples, of which it has no past, but these tell most of the first state, and
-    after a rest in dry friction all of it: they enter as they are, in units of what the first candidate leaves.
+    after a rest in dry friction all of it: they enter as they are, in units of the chain's level.
     """
 
     def __init__(self, simulator: Simulator, data: list[Data], chain: Chain, layout: Layout):
         self.simulator, self.data, self.chain, self.layout = simulator, data, chain, layout
-        self.levels = None
 
     def __call__(self, candidate: Candidate):
         runs = [self.simulator.run_and_jacobian(candidate, d, k) for k, d in enumerate(self.data)]
         residuals = [np.where(d.kept, d.y - y, 0.0) for d, (y, _) in zip(self.data, runs)]
         if not all(np.all(np.isfinite(e)) and np.all(np.isfinite(J)) for e, (_, J) in zip(residuals, runs)):
             return None
-        if self.levels is None:
-            self.levels = [
-                np.sqrt(np.maximum(np.sum(e**2, axis=0) / np.maximum(d.kept.sum(axis=0), 1), 1e-300))
-                for e, d in zip(residuals, self.data)
-            ]
         H, g, cost, count = 0.0, 0.0, 0.0, 0
         for k, d in enumerate(self.data):
             both = np.concatenate([runs[k][1], residuals[k][:, :, None]], axis=2)
             head = min(SETTLING, len(d.kept) // 4)
-            first = np.where(d.kept[:head, :, None], both[:head] / self.levels[k][:, None], 0.0)
+            first = np.where(d.kept[:head, :, None], both[:head] / self.chain.level[:, None], 0.0)
             both = np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.chain, both, d.kept)])
             # What is all but overflowing has no products to speak of.
             if not np.max(np.abs(both)) <= _LARGEST:

@@ -24,7 +24,7 @@ from .judgement import (
     significance,
 )
 from .problem import Candidate, Data
-from .refitting import Attempt, attempts_of, compared, moving
+from .refitting import STANDING_ALIKE, Attempt, attempts_of, compared, moving
 from .residual import white_chain
 from .result import Gain, Rejected
 from .screening import Screening
@@ -43,9 +43,6 @@ STANDING = (
     frozenset(("bilinear_stiffness", "quadratic_stiffness")),
 )
 """Laws that are easily alike: one of them is ruled out only by more."""
-
-STANDING_ALIKE = 10.0
-"""Difference of BIC within which two of them count as one class."""
 
 BEHIND = 50.0
 """ΔBIC by measured motion from which an effect may hide behind noise at the forces."""

@@ -22,6 +22,9 @@ HOPELESS = 100.0
 """Distance in criterion from the best first refit beyond which a candidate is not pursued; its refit is given up at
 twice this."""
 
+STANDING_ALIKE = 10.0
+"""Difference of BIC within which two laws that are easily alike count as one class."""
+
 LITTLE = 0.05
 """Share of the size that linear responses call for, to start from where the whole is worse than nothing."""
 
@@ -47,22 +50,59 @@ class Attempt:
 def attempts_of(
     bench: Bench, stage: Stage, listed: list[list[Score]], chain: Chain, rejected: list[Rejected]
 ) -> dict[tuple[str, str], Attempt]:
-    """Refits of the listed candidates; the chain is renewed only for those that still can be the best."""
-    rough, best = {}, np.inf
+    """Refits of the listed candidates; only those that still can be the best are carried to their end. Laws that
+    contain a simpler one begin where that ended."""
+    names = {_name(scores[0]) for scores in listed}
+    inside = [any((simpler, place) in names for simpler in law.contains) for law, place in map(_law, listed)]
+    fits = _outright(bench, stage, [s for s, nested in zip(listed, inside) if not nested], chain, rejected)
+    for scores in (s for s, nested in zip(listed, inside) if nested):
+        law, place = _law(scores)
+        bases = [fits[simpler, place] for simpler in law.contains if (simpler, place) in fits]
+        if bases:
+            better = _beyond(bench, bases[0], scores, rejected)
+            fits |= {} if better is None else {_name(scores[0]): better}
+        else:
+            fits |= _outright(bench, stage, [scores], chain, rejected)
+    attempts: dict[tuple[str, str], Attempt] = {}
+    for score, fit in _followed(bench, list(fits.values())):
+        attempt = by_contact(bench, Attempt(score, fit, chain_of(bench, fit)), stage)
+        if attempt.name not in attempts or attempt.chain.cost < attempts[attempt.name].chain.cost:
+            attempts[attempt.name] = attempt
+    return attempts
+
+
+def _name(score: Score) -> tuple[str, str]:
+    return score.shape.effect.id, score.shape.place.name
+
+
+def _law(scores: list[Score]):
+    return scores[0].shape.effect, scores[0].shape.place.name
+
+
+def _criterion(bench: Bench, score: Score, fit: Refit) -> float:
+    return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(bench, score)
+
+
+def _outright(
+    bench: Bench, stage: Stage, listed: list[list[Score]], chain: Chain, rejected: list[Rejected]
+) -> dict[tuple[str, str], tuple[Score, Refit]]:
+    """Refits from the model without the candidate, under one chain first, then those that are left to their end."""
+    rough: dict[tuple[str, str], tuple[float, Score, Refit]] = {}
+    best = np.inf
     for k, scores in enumerate(listed):
-        name = scores[0].shape.effect.id, scores[0].shape.place.name
-        bench.progress.stage(f"refitting {name[0]} at {name[1]}", fraction=k / max(len(listed), 1))
+        name = _name(scores[0])
+        bench.progress.stage(f"refitting {name[0]} at {name[1]}", fraction=k / len(listed))
         for score in scores:
             fit = first_fit(bench, stage, score, chain, best)
             if fit is None:
                 continue
-            criterion = fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(bench, score)
+            criterion = _criterion(bench, score, fit)
             best = min(best, criterion)
             if name not in rough or criterion < rough[name][0]:
                 rough[name] = criterion, score, fit
         if name not in rough:
             rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
-    fits = []
+    fits = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
         if criterion > best + HOPELESS:
             why = f"explains less than the best candidate of its round (by {criterion - best:.0f})"
@@ -73,13 +113,45 @@ def attempts_of(
             rejected.append(Rejected(*name, score.delta_bic, f"{bound} ran to its physical bound"))
             continue
         bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
-        fits.append((score, pursued(bench, fit)))
-    attempts = {}
-    for score, fit in _followed(bench, fits):
-        attempt = by_contact(bench, Attempt(score, fit, chain_of(bench, fit)), stage)
-        if attempt.name not in attempts or attempt.chain.cost < attempts[attempt.name].chain.cost:
-            attempts[attempt.name] = attempt
-    return attempts
+        fits[name] = score, pursued(bench, fit)
+    return fits
+
+
+def _beyond(
+    bench: Bench, base: tuple[Score, Refit], scores: list[Score], rejected: list[Rejected]
+) -> tuple[Score, Refit] | None:
+    """The best refit of a law from that of a simpler one which it contains, None where its further parameters pay too
+    little; unless noise at the forces may hide what they are worth."""
+    simpler, simple = base
+    name = _name(scores[0])
+    bench.progress.stage(f"refitting {name[0]} at {name[1]}")
+    chain = chain_of(bench, simple)
+    cost, _ = evidence(*moving(bench, simple), bench.data[0], chain)
+    most = simple.count * np.log(max(cost, 1e-300)) + _penalty(bench, simpler)
+    most += STANDING_ALIKE if chain.ratio == 0.0 else HOPELESS
+    last = simple.candidate.terms[-1]
+    known = dict(zip((p.name for p in last.effect.parameters), last.values))
+    best = None
+    for score in scores:
+        shape = score.shape.term(score.weights)
+        values = [known.get(p.name, value) for p, value in zip(shape.effect.parameters, shape.values)]
+        term = Term(shape.effect, shape.place, shape.effect.bounded(np.array(values, dtype=float)))
+        begin = simple.candidate.with_terms((*simple.candidate.terms[:-1], term))
+        with np.errstate(over="ignore"):
+            abandon = np.exp((most - _penalty(bench, score)) / simple.count)
+        options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
+        fit = refit(bench.simulator, begin, bench.data, chain, **options)
+        if fit is not None and (best is None or _criterion(bench, score, fit) < _criterion(bench, *best)):
+            best = score, fit
+    if best is None:
+        rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
+        return None
+    if _criterion(bench, *best) > most:
+        why = f"explains no more than {simpler.shape.effect.id}, which it contains"
+        rejected.append(Rejected(*name, scores[0].delta_bic, why))
+        return None
+    bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
+    return best[0], pursued(bench, best[1])
 
 
 def _followed(bench: Bench, fits: list[tuple[Score, Refit]]) -> list[tuple[Score, Refit]]:

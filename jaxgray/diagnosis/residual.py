@@ -40,7 +40,8 @@ class Chain:
     """A whitening chain; see the module.
 
     `A`, `C`, `gain`: innovations filter; `coefficients`: 1, a_1, … per output; `lower`: L; `ratio` (ρ) of force noise;
-    `cost`: N ln det of the covariance that is left, with what ρ cost; `worth`: by how much it is less than with ρ = 0.
+    `cost`: N ln det of the covariance that is left, with what ρ cost; `level`: root mean square of what the chain was
+    estimated from; `worth`: by how much `cost` is less than with ρ = 0.
     """
 
     A: Float[np.ndarray, "states states"]
@@ -50,6 +51,7 @@ class Chain:
     lower: Float[np.ndarray, "outputs outputs"]
     ratio: float
     cost: float
+    level: Float[np.ndarray, " outputs"]
     worth: float = 0.0
 
     def whiten(self, X: Float[np.ndarray, "samples outputs columns"]) -> Float[np.ndarray, "samples outputs columns"]:
@@ -175,11 +177,13 @@ def _with_colour(A, C, gain, ratio, e, epsilon, kept, rows) -> Chain:
     """The chain with its AR models and covariance, from what the innovations filter leaves."""
     outputs, samples = e.shape[1], max(int(rows.sum()), 1)
     coefficients = np.stack([ar_coefficients(np.where(kept[:, k], epsilon[:, k], 0.0)) for k in range(outputs)])
-    white = Chain(A, C, gain, coefficients, np.eye(outputs), ratio, 0.0).whiten(e[:, :, None])[:, :, 0]
+    level = np.sqrt(np.mean(e[rows] ** 2, axis=0)) if rows.any() else np.ones(outputs)
+    level = np.maximum(level, 1e-300)
+    white = Chain(A, C, gain, coefficients, np.eye(outputs), ratio, 0.0, level).whiten(e[:, :, None])[:, :, 0]
     covariance = white[rows].T @ white[rows] / samples
     covariance = covariance + np.diag(_FLOOR * np.diag(covariance) + 1e-300)
     cost = samples * float(np.linalg.slogdet(covariance)[1]) + 2 * (ratio > 0)
-    return Chain(A, C, gain, coefficients, scipy.linalg.cholesky(covariance, lower=True), ratio, cost)
+    return Chain(A, C, gain, coefficients, scipy.linalg.cholesky(covariance, lower=True), ratio, cost, level)
 
 
 def white_chain(e: Float[np.ndarray, "samples outputs"], kept, system: StateSpace) -> Chain:
@@ -193,7 +197,7 @@ def white_chain(e: Float[np.ndarray, "samples outputs"], kept, system: StateSpac
     lower = scipy.linalg.cholesky(covariance, lower=True)
     cost = rows.sum() * float(np.linalg.slogdet(covariance)[1])
     A, C = np.asarray(system.A), np.asarray(system.C)
-    return Chain(A, C, np.zeros((states, outputs)), coefficients, lower, 0.0, cost)
+    return Chain(A, C, np.zeros((states, outputs)), coefficients, lower, 0.0, cost, np.sqrt(np.diag(covariance)))
 
 
 def _log_determinant(x: Float[np.ndarray, "samples outputs"]) -> float:
