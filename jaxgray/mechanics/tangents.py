@@ -1,9 +1,7 @@
 """Derivatives of a run with added forces: the run first, then the derivative of every sample's step at the states that
 are known by then, all side by side, and one linear recursion through them.
 
-Only the run itself goes sample by sample. With one step a sample this is exact, as differentiating through the run is.
-With more, the run is accurate and its derivative that of one step from its states: near enough for Gauss-Newton, at a
-fraction of the cost.
+Exact, as differentiating through the run would be, but only the run itself goes sample by sample.
 """
 
 import equinox as eqx
@@ -75,29 +73,26 @@ def run_and_tangents(
 
         return _along(run, along)
     T = jnp.asarray(sampling_time)
+    h = T / substeps
 
     def begun(change):
         here = _with_values(slots, slots.values + change.values)
-        sampler = Sampler.of(change.moved(plant), here, T, laws, 1)
+        sampler = Sampler.of(change.moved(plant), here, T, laws, substeps)
         u0 = start[0] if change.start is None else start[0] + change.start[0]
-        return sampler.rows, sampler.slots.values, first_state(change.moved(plant), x0 + change.x0, u0, T)
+        return sampler.rows, sampler.slots.values, first_state(change.moved(plant), x0 + change.x0, u0, h)
 
     (rows, values, first), (drows, dvalues, dfirst) = _along(begun, along, axis=0)
-    series = Series.of(start, end, scheduling, T)
-    fine = Sampler.of(plant, slots, T, laws, substeps)
-    # States (q, T q̇) with the T of one step: of the run's own on the way, of a sample's otherwise.
-    unit = jnp.concatenate([jnp.ones(len(first) // 2), jnp.full(len(first) // 2, substeps)])
-    x, z, f = trajectory(fine, first / unit, series)
-    x = x * unit
+    sampler, series = Sampler(rows, slots, T, substeps, laws), Series.of(start, end, scheduling, T)
+    x, z, f = trajectory(sampler, first, series)
     size, states = x.shape[1], x.shape[1] + z[0].size
-    F, G = _steps(Sampler(rows, slots, T, 1, laws), series, x, z, (drows, dvalues), along)
+    F, G = _steps(sampler, series, x, z, (drows, dvalues), along)
     remembered = jnp.zeros((dfirst.shape[0], states - size))
     d = varying_response(F[:, :states], G[:, :states], jnp.concatenate([dfirst, remembered], axis=1).T)
     df = jnp.einsum("kij,kjp->kip", F[:, states:], d) + G[:, states:]
 
     def outputs(change, x, f):
         held = start if change.start is None else start + change.start
-        return outputs_of(change.moved(plant), slots, x, f, held, T)
+        return outputs_of(change.moved(plant), slots, x, f, held, h)
 
     still = _zero(along)
     y = outputs(still, x, f)

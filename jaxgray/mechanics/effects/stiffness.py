@@ -70,6 +70,13 @@ class DeadZoneStiffness(AbstractForceEffect):
     def shapes(self, scales):
         return [np.array([1.0, part * scales.q_quantiles[0]]) for part in (0.1, 0.3, 0.6, 1.0)]
 
+    def moved(self, p, change):
+        # Far outside the gap f = k·q − k·gap·sgn q: straight in k and k·gap, since the stiffness beside it takes up k.
+        k = p[0] + change[0]
+        if not (k > 0 and p[0] > 0):
+            return p + change
+        return np.array([k, (p[0] * p[1] + change[0] * p[1] + p[0] * change[1]) / k])
+
     def force(self, p, here, z):
         return p[0] * beyond(here.q, p[1])
 
