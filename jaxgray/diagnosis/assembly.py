@@ -1,5 +1,6 @@
 """From what the loop found to a `Diagnosis`: parameters with units, tables, budget and verdict."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -132,10 +133,15 @@ def model_of(candidate: Candidate, like: MechanicalModel, setup: Setup) -> Mecha
     )
 
 
+@eqx.filter_jit
+def _slopes(matrices, entries):
+    return jax.jacfwd(matrices)(entries)
+
+
 def matrix_errors(fit: Refit, setup: Setup) -> dict[str, np.ndarray]:
     """Standard errors of every entry of mass, damping and stiffness."""
     entries = jnp.asarray(fit.candidate.entries)
-    slopes = jax.jacfwd(setup.matrices)(entries)
+    slopes = _slopes(setup.matrices, entries)
     covariance = fit.covariance[: len(entries), : len(entries)]
     return {
         name: np.sqrt(np.maximum(np.einsum("ijk,kl,ijl->ij", J, covariance, J), 0.0))

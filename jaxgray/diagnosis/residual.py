@@ -114,6 +114,9 @@ def _filtered(A, C, gain, e):
     return respond(A - gain @ C, gain, -C, jnp.eye(C.shape[0]), e)
 
 
+_respond, _kalman_gain = jax.jit(respond), jax.jit(kalman_gain)
+
+
 def counted(kept: Bool[np.ndarray, "samples outputs"]) -> Bool[np.ndarray, "samples outputs"]:
     """Samples that a test may count: measured, the chain's past known, its beginning over."""
     whole = np.array(kept)
@@ -228,7 +231,7 @@ def smoothed_states(
     Q = B * (ratio * force) @ B.T
     gain, innovation = (
         np.asarray(X)
-        for X in kalman_gain(
+        for X in _kalman_gain(
             *map(jnp.asarray, (A, C, Q, np.zeros((len(A), len(C))), np.diag(V) + D * (ratio * force) @ D.T))
         )
     )
@@ -236,7 +239,7 @@ def smoothed_states(
     states = len(A)
     eye = np.eye(states)
     residual = jnp.asarray(np.where(kept, e, 0.0))
-    ahead = np.asarray(respond(*map(jnp.asarray, (A - gain @ C, gain, eye, np.zeros((states, len(C))))), residual))
+    ahead = np.asarray(_respond(*map(jnp.asarray, (A - gain @ C, gain, eye, np.zeros((states, len(C))))), residual))
     epsilon = np.asarray(residual) - ahead @ C.T
     here = ahead + epsilon @ predicted_gain.T
     P = scipy.linalg.solve_discrete_lyapunov(A - gain @ C, Q + gain @ (np.diag(V) + D * (ratio * force) @ D.T) @ gain.T)
@@ -244,5 +247,5 @@ def smoothed_states(
     back = np.linalg.lstsq(P.T, (filtered @ A.T).T, rcond=1e-12)[0].T
     # x_s[k] = here[k] + back (x_s[k+1] − ahead[k+1]), run from the end.
     drive = here[:-1] - ahead[1:] @ back.T
-    turned = respond(*map(jnp.asarray, (back, eye, back, eye)), jnp.asarray(drive[::-1]), jnp.asarray(here[-1]))
+    turned = _respond(*map(jnp.asarray, (back, eye, back, eye)), jnp.asarray(drive[::-1]), jnp.asarray(here[-1]))
     return np.concatenate([np.asarray(turned)[::-1], here[-1:]])

@@ -258,7 +258,8 @@ def _gain(diagnosis: "Diagnosis", causes: "list[Finding]") -> str:
     if not gain.held_out:
         change += " on the data it was fitted to (in-sample, not proven on held-out data)"
     if diagnosis.excess < ONLY_NOISE:
-        return f"{change} and leaves only noise."
+        # Where the noise is taken from the final model itself, something may be left all the same.
+        return f"{change}." if diagnosis.verdict == "partly" else f"{change} and leaves only noise."
     return f"{change} and leaves {times(diagnosis.excess)} the noise floor."
 
 

@@ -31,6 +31,7 @@ def triangle_vector(X: Float[Array, "n n"]) -> Float[Array, " entries"]:
     return X[triangle(X.shape[-1])]
 
 
+@jax.jit  # Called from the host as often as from within: one program in place of ten.
 def from_triangle(x: Float[Array, " entries"]) -> Float[Array, "n n"]:
     """Symmetric matrix with these upper-triangle entries (by columns, unscaled)."""
     n = symmetric_size(x.shape[-1])

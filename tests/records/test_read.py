@@ -1,5 +1,6 @@
 """Delimited text to records: every header, every defect."""
 
+import csv
 import time
 from pathlib import Path
 
@@ -207,6 +208,9 @@ def test_a_long_file_is_quick(text, write):
     for body in (whole, whole.replace(f",{y[5, 0]!r}\n", ",\n")):
         path = write(body)
         start = time.perf_counter()
+        [[float(cell or "nan") for cell in row] for row in csv.reader(body.splitlines()[1:])]
+        plain = time.perf_counter() - start
+        start = time.perf_counter()
         record = read_record(path, inputs="u", outputs="y")
-        assert time.perf_counter() - start < 1.0
+        assert time.perf_counter() - start < 40 * plain
         assert record.samples == 25_000
