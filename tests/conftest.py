@@ -9,10 +9,11 @@ os.environ.setdefault("NPROC", "4")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Cached binaries are announced at length on the terminal otherwise.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+# In the environment, so that commands and notebooks that tests start share it too.
+cache = pathlib.Path(tempfile.gettempdir()) / f"jaxgray-tests-{os.getuid()}"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 
 import jax
 
 jax.config.update("jax_enable_x64", True)
-cache = pathlib.Path(tempfile.gettempdir()) / f"jaxgray-tests-{os.getuid()}"
-jax.config.update("jax_compilation_cache_dir", os.environ.get("JAX_COMPILATION_CACHE_DIR", str(cache)))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)

@@ -169,7 +169,7 @@ def _round(bench: Bench, growth: Growth, screening: Screening, closer: Screening
     stage = growth.stage
     chain = closer.chain if closer.shows else white_chain(stage.e, bench.data[0].kept, stage.system)
     attempts = attempts_of(bench, growth.stage, shortlist(screening, closer), chain, growth.rejected)
-    ranked = compared(bench, stage, list(attempts.values()))
+    ranked = _simplified(compared(bench, stage, list(attempts.values())))
     growth.tried |= {attempt.name: attempt.fit for attempt in ranked}
     floor = _floor(bench, ranked)
     for k, attempt in enumerate(ranked):
@@ -196,6 +196,14 @@ def _round(bench: Bench, growth: Growth, screening: Screening, closer: Screening
         growth.stage = _stage(bench, attempt.fit.candidate)
         return True
     return False
+
+
+def _simplified(ranked: list[Attempt]) -> list[Attempt]:
+    """The ranking, with the simpler law first where the best is the same with a parameter that explains nothing."""
+    for other in ranked[1:]:
+        if _needless(ranked[0], other):
+            return [other, *(one for one in ranked if one is not other)]
+    return ranked
 
 
 def _alike(best: Attempt, other: Attempt) -> float:
