@@ -33,8 +33,10 @@ class UnmodelledMode(AbstractMatrixEffect):
         natural = [f for f in scales.frequencies_hz if f > 0.0] or [2.0 / scales.duration, 0.2 * nyquist]
         highest = min(4.0 * max(natural), 0.8 * nyquist)
         lowest = min(0.3 * min(natural), 0.5 * highest)
-        grid = [*np.geomspace(lowest, highest, 10), *scales.lines_hz[:2]]
-        return [np.array([f, damping, 0.02]) for f in grid for damping in (0.01, 0.05)]
+        grid = [(f, 0.02) for f in np.geomspace(lowest, highest, 10)]
+        # A line of the residual is where the mass resonates on the structure; only a light one does so at its own.
+        grid += [(f, 0.002) for f in scales.lines_hz[:2]]
+        return [np.array([f, damping, ratio]) for f, ratio in grid for damping in (0.01, 0.05)]
 
     def matrices(self, p, M, D, K, first, second):
         omega = 2.0 * jnp.pi * p[0]
