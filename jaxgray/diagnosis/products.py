@@ -97,10 +97,16 @@ class Products:
         """Products of the responses with residuals of white noise, off the sensitivities."""
         return self.X @ noise.T - self.inside @ (self.basis @ noise.T)
 
-    def weights(self, columns) -> Float[np.ndarray, " all"]:
-        """Least-squares weights of the sensitivities and some responses, in this order, for the residual."""
-        table = np.concatenate([self.model[:-1], self.X[columns]])
+    def weights(self, columns, first: Float[np.ndarray, "all head"]) -> Float[np.ndarray, " all"]:
+        """Least-squares weights of the sensitivities and some responses, in this order, for the residual.
+
+        **Arguments:** `columns`: of the responses; `first`: the same as they are over the first samples, in units of
+        the noise, the residual last; a chain with noise at the forces leaves a first state open.
+        """
+        white = np.concatenate([self.model[:-1], self.X[columns], self.model[-1:]])
+        table = np.concatenate([white, first], axis=1)
+        table, e = table[:-1], table[-1]
         scale = np.sqrt(np.einsum("km,km->k", table, table))
         scale = np.where(scale > 0, scale, 1.0)
         gram = (table @ table.T) / scale[:, None] / scale[None, :]
-        return pseudo_inverse(gram) @ (table @ self.model[-1] / scale) / scale
+        return pseudo_inverse(gram) @ (table @ e / scale) / scale

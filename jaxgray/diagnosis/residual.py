@@ -141,7 +141,8 @@ def estimate_chain(
 ) -> Chain:
     """The chain of a residual from which every effect has been removed.
 
-    ρ minimises N ln det(Σ εεᵀ/N) + 2·[ρ > 0] over a logarithmic grid; AR(10) is fitted to what that filter leaves.
+    ρ minimises N ln det(Σ wwᵀ/N) + 2·[ρ > 0], w after an AR(10) fitted to what its filter leaves, over the part of a
+    logarithmic grid where ln det(Σ εεᵀ) of the filter alone is least.
 
     **Arguments:** `e`: residual, zero where missing; `kept`: what was measured; `system`: sampled plant with the
     columns of B and D through which noise enters; `force`: mean square of the input at each of them.
@@ -150,29 +151,28 @@ def estimate_chain(
     """
     used = counted(kept)
     rows = np.all(used, axis=1)
-    samples = max(int(rows.sum()), 1)
     level = np.mean(e[rows] ** 2, axis=0) if rows.any() else np.ones(e.shape[1])
     V = np.maximum(white_part(e, kept), _FLOOR * np.maximum(level, 1e-300)) + 1e-300
     arrays = [jnp.asarray(X) for X in (system.A, system.B, system.C, system.D, force, np.diag(V))]
     A, C = arrays[0], arrays[2]
     residual = jnp.asarray(e)
-    best = None
-    for ratio in RATIOS:
-        gain = _gain(*arrays, ratio) if ratio > 0 else jnp.zeros((A.shape[0], C.shape[0]))
+    tried = []
+    for ratio in RATIOS[RATIOS > 0]:
+        gain = _gain(*arrays, ratio)
         if not bool(jnp.all(jnp.isfinite(gain))):
             continue
-        epsilon = np.asarray(_filtered(A, C, gain, residual)) if ratio > 0 else e
-        cost = samples * _log_determinant(epsilon[rows]) + 2 * (ratio > 0)
-        if np.isfinite(cost) and (best is None or cost < best[0]):
-            best = cost, ratio, gain, epsilon
-    if best is None:
-        best = np.inf, 0.0, jnp.zeros((A.shape[0], C.shape[0])), e
-    _, ratio, gain, epsilon = best
+        epsilon = np.asarray(_filtered(A, C, gain, residual))
+        cost = _log_determinant(epsilon[rows])
+        if np.isfinite(cost):
+            tried.append((cost, ratio, np.asarray(gain), epsilon))
     filters = np.asarray(A), np.asarray(C)
-    chain = _with_colour(*filters, np.asarray(gain), ratio, e, epsilon, kept, rows)
-    if ratio == 0.0:
-        return chain
-    plain = _with_colour(*filters, np.zeros_like(chain.gain), 0.0, e, e, kept, rows)
+    plain = _with_colour(*filters, np.zeros((A.shape[0], C.shape[0])), 0.0, e, e, kept, rows)
+    best = min(range(len(tried)), key=lambda k: tried[k][0], default=0)
+    chain = plain
+    # Coloured noise at the outputs may look like noise at the forces until its colour is allowed for, and then less.
+    for _, ratio, gain, epsilon in [tried[k] for k in (best, best - 2, best - 4, best + 2) if 0 <= k < len(tried)]:
+        with_noise = _with_colour(*filters, gain, ratio, e, epsilon, kept, rows)
+        chain = with_noise if with_noise.cost < chain.cost else chain
     return dataclasses.replace(chain, worth=plain.cost - chain.cost)
 
 

@@ -17,7 +17,7 @@ from ..identification.conic import pseudo_inverse
 from .features import Features, Shape
 from .problem import Data
 from .products import Products
-from .residual import Chain, estimate_chain
+from .residual import SETTLING, Chain, estimate_chain
 
 GATE = 10.0
 """ΔBIC from which a candidate counts."""
@@ -162,7 +162,7 @@ def screen(
     first, overflowed = score_all(products, features)
     few, scores = features, first
     for turn in range(rounds):
-        clean = without(e, J, few, products, scores, data.kept, picked)
+        clean = without(e, J, few, products, scores, data.kept, chain.level, picked)
         renewed = estimate_chain(clean, data.kept, system, force)
         if turn and renewed.ratio == chain.ratio and np.allclose(renewed.coefficients, chain.coefficients, atol=0.01):
             break
@@ -181,7 +181,14 @@ def screen(
 
 
 def without(
-    e, J, features: Features, products: Products, scores, kept: Bool[np.ndarray, "samples outputs"], picked: int
+    e,
+    J,
+    features: Features,
+    products: Products,
+    scores,
+    kept: Bool[np.ndarray, "samples outputs"],
+    level: Float[np.ndarray, " outputs"],
+    picked: int,
 ) -> Float[np.ndarray, "samples outputs"]:
     """The residual without sensitivities and without the best responses, chosen one after the other."""
     pool = [s for s in scores if s.delta_bic > GATE][:60]
@@ -209,7 +216,10 @@ def without(
         chosen.append(columns[best[2]])
         here = here.without(best[2])
     taken = np.concatenate(chosen) if chosen else np.zeros(0, int)
-    weights, states = products.weights(taken), J.shape[2]
+    head = min(SETTLING, len(kept) // 4)
+    first = [np.moveaxis(J[:head], 2, 0), features.responses[taken][:, :head], e[None, :head]]
+    first = np.concatenate(first) * kept[:head] / level
+    weights, states = products.weights(taken, first.reshape(len(first), -1)), J.shape[2]
     explained = J @ weights[:states] + np.tensordot(weights[states:], features.responses[taken], 1)
     return np.where(kept, e - explained, 0.0)
 
