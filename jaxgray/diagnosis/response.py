@@ -28,8 +28,8 @@ DIRECTIONS = 8
 
 
 def law_table(terms: tuple[Term, ...], laws: tuple[AbstractForceEffect, ...]) -> tuple[AbstractForceEffect, ...]:
-    """The force laws to compile for some terms: their families, without laws that remember more, so that one program
-    serves the rivals of a round; then laws of the user's own.
+    """The force laws to compile for some terms, so that one program serves the rivals of a round: friction, or all
+    else, or both, without laws that remember more; then laws of the user's own.
 
     **Arguments:** `terms`; `laws`: all force laws of the catalogue.
     """
@@ -38,8 +38,8 @@ def law_table(terms: tuple[Term, ...], laws: tuple[AbstractForceEffect, ...]) ->
         return ()
     most = max(effect.states for effect in used)
     limit = next(level for level in (0, 2, 1000) if most <= level)
-    families = {effect.family for effect in used}
-    table = tuple(law for law in laws if law.states <= limit and law.family in families)
+    kinds = {effect.family == "friction" for effect in used}
+    table = tuple(law for law in laws if law.states <= limit and (law.family == "friction") in kinds)
     return table + tuple(dict.fromkeys(effect for effect in used if effect not in table))
 
 
