@@ -126,9 +126,10 @@ def _beyond(
     name = _name(scores[0])
     bench.progress.stage(f"refitting {name[0]} at {name[1]}")
     chain = chain_of(bench, simple)
-    cost, _ = evidence(*moving(bench, simple), bench.data[0], chain)
-    most = simple.count * np.log(max(cost, 1e-300)) + _penalty(bench, simpler)
-    most += STANDING_ALIKE if chain.ratio == 0.0 else HOPELESS
+    # Under the same chain and with the same samples counted as what is compared with it.
+    again = refit(bench.simulator, simple.candidate, bench.data, chain, held=bench.held, max_steps=3, tolerance=ROUGH)
+    simple = simple if again is None else again
+    most = _criterion(bench, simpler, simple) + (STANDING_ALIKE if chain.ratio == 0.0 else HOPELESS)
     last = simple.candidate.terms[-1]
     known = dict(zip((p.name for p in last.effect.parameters), last.values))
     best = None
