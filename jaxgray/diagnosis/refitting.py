@@ -64,7 +64,7 @@ def attempts_of(
         else:
             fits |= _outright(bench, stage, [scores], chain, rejected)
     attempts: dict[tuple[str, str], Attempt] = {}
-    for score, fit in _followed(bench, list(fits.values())):
+    for score, fit in _followed(bench, list(fits.values()), rejected):
         attempt = by_contact(bench, Attempt(score, fit, chain_of(bench, fit)), stage)
         if attempt.name not in attempts or attempt.chain.cost < attempts[attempt.name].chain.cost:
             attempts[attempt.name] = attempt
@@ -155,7 +155,7 @@ def _beyond(
     return best[0], pursued(bench, best[1])
 
 
-def _followed(bench: Bench, fits: list[tuple[Score, Refit]]) -> list[tuple[Score, Refit]]:
+def _followed(bench: Bench, fits: list[tuple[Score, Refit]], rejected: list[Rejected]) -> list[tuple[Score, Refit]]:
     """The refits with their forces followed in steps as short as the best of them needs; all in the same, since what
     shorter steps mend is not a law's merit."""
     if not fits:
@@ -165,8 +165,15 @@ def _followed(bench: Bench, fits: list[tuple[Score, Refit]]) -> list[tuple[Score
     fit = sharpened(bench, fits[best][1])
     if bench.simulator.substeps == steps:
         return fits
-    near = [k for k, cost in enumerate(costs) if cost < costs[best] + HOPELESS]
-    return [(fits[k][0], fit if k == best else at_the_same_steps(bench, fits[k][1])) for k in near]
+    result = []
+    for k, (score, other) in enumerate(fits):
+        behind = costs[k] - costs[best]
+        if behind < HOPELESS:
+            result.append((score, fit if k == best else at_the_same_steps(bench, other)))
+        else:
+            why = f"explains less than the best candidate of its round (by {behind:.0f})"
+            rejected.append(Rejected(*_name(score), score.delta_bic, why))
+    return result
 
 
 def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
