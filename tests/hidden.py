@@ -35,6 +35,8 @@ __all__ = [
 
 NULLS = ("white", "coloured", "process", "initial")
 RAW = (*laws.RAW, "clock_scale")
+CLIPPED = 0.005
+"""Least share of samples at the limit of a clipped record."""
 
 PAIRS = (
     ("cubic_stiffness", "coulomb_friction"),
@@ -342,7 +344,12 @@ def raw_case(rng, effect_id, *, dofs=(1, 2, 3), samples=4000):
         parameters = {"eps": float(rng.choice([-1.0, 1.0])) * draws.log_uniform(rng, 3e-4, 3e-3)}
     else:
         raise ValueError(f"effect_id is {effect_id!r}; give one of {', '.join(RAW)}")
-    return _filled(rng, replace(case, effects=(Effect(effect_id, place, parameters),), noise=noise))
+    for _ in range(20):
+        filled = _filled(rng, replace(case, effects=(Effect(effect_id, place, parameters),), noise=noise))
+        # The limit is drawn from another run of the system: a record that stays inside it is not clipped.
+        if effect_id != "sensor_clipping" or np.sum(np.abs(filled.y[:, i]) >= limit) >= CLIPPED * samples:
+            return filled
+    raise TooHard(f"no record of {effect_id} reaches its limit")
 
 
 def _closed_loop(rng, system, samples, noise, *, proportional, derivative, reference, dither):

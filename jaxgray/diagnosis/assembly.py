@@ -99,7 +99,7 @@ def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, 
             Finding(
                 *accepted.attempt.name,
                 "named" if len(members) == 1 else "equivalent",
-                "model",
+                accepted.stage,
                 tuple(members),
                 members[0].parameters,
                 float(accepted.attempt.delta_bic),

@@ -1,5 +1,6 @@
 """What the simulation gets wrong, why, and what mending it buys: the pipeline, nothing else."""
 
+import dataclasses
 import difflib
 
 import numpy as np
@@ -10,7 +11,8 @@ from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..mechanics.model import MechanicalModel
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready, relieve
-from ..records import Record, check_compatible
+from ..records import Record, check_compatible, preflight
+from ..records.cleaning import without_defects
 from .assembly import (
     accepted_names,
     budget_of,
@@ -30,7 +32,7 @@ from .growth import Growth, grow, residual_rms
 from .judgement import FreeRun, gain_of, overall
 from .problem import Data
 from .ranking import gate_of, rejected_of
-from .record_findings import record_findings
+from .record_findings import noise_findings, record_findings
 from .refitting import explainable_share
 from .response import Simulator
 from .result import Diagnosis, Finding
@@ -93,15 +95,28 @@ def diagnose(
         first, last = records[0].split(holdout)
         records, held = [first], [last]
     check_compatible(records + held)
+    if model is not None:
+        searched = MODEL_ERRORS + searched
+    used, unseen = [without_defects(r) for r in records], [without_defects(r) for r in held]
+    found = _of_clean_records(used, unseen, separate, model, searched, max_effects, seed, progress, options)
+    messages = [{finding.message for one in group for finding in preflight(one)} for group in (records, used)]
+    return dataclasses.replace(
+        found,
+        findings=record_findings(records[0]) + found.findings,
+        warnings=tuple(text for text in found.warnings if text in messages[0] or text not in messages[1]),
+    )
 
+
+def _of_clean_records(
+    records: list[Record], held: list[Record], separate: bool, model, searched, max_effects, seed, progress, options
+) -> Diagnosis:
+    """The diagnosis of records without spoilt samples."""
     identification = None
     if model is None:
         identification = begin(records, held, searched, max_effects, seed, progress, options)
         if isinstance(identification, Diagnosis):
             # No free run of the linear model is usable: decided on another route.
             return identification
-    else:
-        searched = MODEL_ERRORS + searched
     baseline = baseline_of(records, identification, model, None)
     floor, source = independent_floor(records[0])
     laws = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
@@ -121,8 +136,8 @@ def diagnose(
     growth = grow(bench, baseline.start, max_effects, errors=errors, max_errors=len(baseline.start.entries))
     progress.stage("summing up")
     chain = growth.screening.chain
-    raw = record_findings(records[0], growth.stage.e, chain.ratio, chain.worth)
-    return _assembled(bench, growth, baseline, identification, records, held, floor, source, raw)
+    noise = noise_findings(records[0], growth.stage.e, chain.ratio, chain.worth)
+    return _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
 
 
 def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
@@ -148,7 +163,7 @@ def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
 
 
 def _assembled(
-    bench: Bench, growth: Growth, baseline, identification: Identification | None, records, held, floor, source, raw
+    bench: Bench, growth: Growth, baseline, identification: Identification | None, records, held, floor, source, noise
 ):
     setup, data = bench.simulator.setup, bench.data[0]
     if floor is None:
@@ -174,17 +189,18 @@ def _assembled(
         if len(growth.accepted) == 1 and growth.accepted[0].gain.held_out:
             # The same, from the same draws: one finding must not have two intervals.
             gain = growth.accepted[0].gain
+    mends_model = any(accepted.stage == "model" for accepted in growth.accepted)
     unexplained = growth.unexplained or (source != "residual of the final model" and excess >= UNEXPLAINED)
     test = None if identification is None else identification.structure_test
     if not growth.accepted and test is not None and test.p_value < MISFIT:
         unexplained = True
     depends = _depends_on(growth) if unexplained else ()
-    if unexplained and not findings:
+    if unexplained and not mends_model:
         worst = int(np.argmax(residual_rms(growth.stage.e, data) / floor))
         findings.append(Finding("unexplained", names[worst], "unexplained", "model", (), {}, None, None))
-    model_findings = [f.status for f in findings]
+    model_findings = [f.status for f in findings if f.stage == "model"]
     if unexplained:
-        verdict = "partly" if growth.accepted else "unexplained"
+        verdict = "partly" if mends_model else "unexplained"
     else:
         verdict = "equivalent" if "equivalent" in model_findings else "named" if model_findings else "noise"
     warnings = () if identification is None else _own_warnings(identification, growth)
@@ -194,7 +210,7 @@ def _assembled(
         baseline=base,
         noise_floor=dict(zip(names, map(float, floor))),
         noise_floor_source=source,
-        findings=tuple(raw) + tuple(findings),
+        findings=noise + tuple(findings),
         extended=extended,
         gain=gain,
         excess=excess,

@@ -11,7 +11,7 @@ from .force_fit import ForceFit
 from .force_route import Search, rms_of
 from .force_scores import Scores
 from .judgement import FreeRun, gain_of, overall
-from .record_findings import record_findings
+from .record_findings import noise_findings
 from .residual import white_part
 from .result import Curves, Diagnosis, Finding, Member, ModelSummary, NotFound
 from .screening import GATE
@@ -59,13 +59,13 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
         f"{window:.3g} s, the first state of each estimated.",
         f"Relative force error: {errors[0]:.3g} before, {errors[1]:.3g} after.",
     )
-    raw = record_findings(record, _padded(search.runs[0][0].e, record), 0.0, 0.0)
+    noise = noise_findings(record, _padded(search.runs[0][0].e, record))
     return Diagnosis(
         verdict=verdict,
         baseline=_summary(search, search.base, search.base_runs),
         noise_floor=dict(zip(names, map(float, floor))),
         noise_floor_source=source,
-        findings=tuple(raw) + tuple(findings),
+        findings=noise + tuple(findings),
         extended=extended,
         gain=gain,
         excess=overall(rms_of(search.runs[0]), floor),

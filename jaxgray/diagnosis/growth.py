@@ -56,6 +56,7 @@ TIME_LOCAL = frozenset(
         "sensor_drift",
         "periodic_disturbance",
         "clock_scale",
+        "dropped_samples",
     )
 )
 """Effects tied to the clock of one record: another record, or another part, may not show them."""
@@ -68,6 +69,11 @@ class Accepted:
     attempt: Attempt
     rivals: tuple[Attempt, ...]
     gain: Gain
+
+    @property
+    def stage(self) -> str:
+        """Whether it says what the "model" lacks or what is wrong with the "record"."""
+        return self.attempt.fit.candidate.terms[-1].effect.stage
 
 
 @dataclass

@@ -13,30 +13,41 @@ PLAUSIBLE = 1.0
 """Noise at the forces as large as the recorded ones: beyond, the colour of the noise is the better word."""
 
 IDS = ("sensor_clipping", "sensor_quantization", "outliers", "dropped_samples")
+LEFT_OUT = ("sensor_clipping", "outliers", "dropped_samples")
 
 
-def record_findings(record: Record, e: np.ndarray, ratio: float, worth: float) -> tuple[Finding, ...]:
-    """Clipping, quantisation, outliers and gaps as findings of stage `record`; noise at the forces; feedback.
+def record_findings(measured: Record) -> tuple[Finding, ...]:
+    """Clipping, quantisation, outliers and gaps, as findings of stage `record`.
 
-    **Arguments:** `record`; `e`: residual of the final model; `ratio` (ρ) of the force noise to the inputs' mean
-    square; `worth`: by how much the likelihood is better with it.
+    **Arguments:** `measured`: the record as it came, before its spoilt samples were made missing.
     """
     found = []
-    for finding in preflight(record):
+    for finding in preflight(measured):
         if finding.effect in IDS:
             values = {
                 name: Estimate(float(value), None, "")
                 for name, value in finding.values.items()
                 if isinstance(value, (int, float)) and not isinstance(value, bool)
             }
-            found.append(
-                Finding(finding.effect, finding.location, "named", "record", (), values, None, None, finding.message)
-            )
+            text = finding.message
+            if finding.effect in LEFT_OUT and "left out" not in text:
+                text += " The diagnosis leaves these samples out."
+            found.append(Finding(finding.effect, finding.location, "named", "record", (), values, None, None, text))
+    return tuple(found)
+
+
+def noise_findings(used: Record, e: np.ndarray, ratio: float = 0.0, worth: float = 0.0) -> tuple[Finding, ...]:
+    """Noise at the forces and feedback, as findings of stage `record`.
+
+    **Arguments:** `used`: the record without its spoilt samples; `e`: residual of the final model; `ratio` (ρ) of the
+    force noise to the inputs' mean square; `worth`: by how much the likelihood is better with it.
+    """
+    found = []
     if worth > WORTH and ratio <= PLAUSIBLE:
         message = "Noise enters at the forces too; error bars allow for it."
         values = {"ratio": Estimate(float(ratio), None, "")}
         found.append(Finding("process_noise", "record", "named", "record", (), values, None, None, message))
-    if residual_test(np.where(np.isnan(record.y), np.nan, e[: record.samples]), record.u).feedback:
+    if residual_test(np.where(np.isnan(used.y), np.nan, e[: used.samples]), used.u).feedback:
         message = "The residual is correlated with future inputs: the record may come from a closed loop."
         found.append(Finding("closed_loop", "record", "named", "record", (), {}, None, None, message))
     return tuple(found)

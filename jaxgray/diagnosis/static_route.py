@@ -16,7 +16,7 @@ from .force_fit import independent_share
 from .force_route import rms_of
 from .judgement import ACCEPTED, ALIKE, SIGNIFICANT, FreeRun, gain_of, overall
 from .problem import estimated
-from .record_findings import record_findings
+from .record_findings import noise_findings
 from .result import Curves, Diagnosis, Finding, Gain, Member, ModelSummary, Rejected
 from .static_fit import Static, StaticFit
 
@@ -219,7 +219,7 @@ def _diagnosis(records, held, drive, base, fit, base_runs, runs, taken, rejected
         "At one frequency hysteresis differs from a delay or lag by the shape of the loop alone; repeat the record at "
         "another frequency to be sure.",
     )
-    raw = record_findings(record, runs[0][0].e, 0.0, 0.0)
+    noise = noise_findings(record, runs[0][0].e)
     curves = []
     for held_out, group in enumerate((records, held)):
         for one, old, new in zip(group, base_runs[held_out], runs[held_out]):
@@ -229,7 +229,7 @@ def _diagnosis(records, held, drive, base, fit, base_runs, runs, taken, rejected
         baseline=_summary(base, records, held, drive, base_runs),
         noise_floor=dict(zip(names, map(float, floor))),
         noise_floor_source="residual of the final static model",
-        findings=tuple(raw) + tuple(findings),
+        findings=noise + tuple(findings),
         extended=_summary(fit, records, held, drive, runs) if taken else None,
         gain=gain_of(before, after, before, floor, names, held_out=bool(held), rng=rng) if taken else None,
         excess=overall(rms_of(runs[0]), floor),

@@ -138,7 +138,7 @@ def verdict_sentence(diagnosis: "Diagnosis") -> str:
     """
     subject = "Your model" if diagnosis.own_model else "The linear model"
     causes = [f for f in diagnosis.findings if f.stage == "model" and f.effect and f.status != "unexplained"]
-    parts = [_missed(diagnosis, subject, bool(causes))]
+    parts = [_missed(diagnosis, subject)]
     if causes:
         parts += _causes(diagnosis, causes)
         parts += [_gain(diagnosis, causes)]
@@ -149,20 +149,28 @@ def verdict_sentence(diagnosis: "Diagnosis") -> str:
     seen = [f for f in diagnosis.findings if f.stage == "record"]
     if seen:
         names = diagnosis.baseline.model.output_names
-        parts += [f"Seen in the record: {listed(title_of(f.effect, f.location, names) for f in seen)}."]
+        parts += [f"Seen in the record: {listed(_seen(f, names) for f in seen)}."]
+        mended = [f for f in seen if f.gain is not None]
+        if mended and not causes:
+            parts += [_gain(diagnosis, mended)]
     return " ".join(part for part in parts if part)
 
 
-def _missed(diagnosis: "Diagnosis", subject: str, causes: bool) -> str:
+def _missed(diagnosis: "Diagnosis", subject: str) -> str:
     """How far the baseline is from the noise, where it is farthest."""
     excess, place = worst_output(diagnosis)
     where = f" at {place}" if place else ""
-    if diagnosis.verdict == "noise" and not causes:
+    if diagnosis.verdict == "noise" and diagnosis.extended is None:
         return (
             f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
             "nothing is missing that this record could show."
         )
     return f"{subject} misses {times(excess)} the noise floor{where}."
+
+
+def _seen(finding: "Finding", names: tuple[str, ...]) -> str:
+    """What is wrong with the record; with its size where it was estimated with the model."""
+    return title_of(finding.effect, finding.location, names) if finding.gain is None else _titled(finding, names)
 
 
 def times(excess: float) -> str:

@@ -30,8 +30,8 @@ constant_force coulomb_friction stribeck_friction asymmetric_friction quadratic_
 position_dependent_friction fractional_damping bouc_wen_hysteresis maxwell_slip_hysteresis gyroscopic_coupling
 circulatory_coupling input_delay actuator_lag intersample_hold input_saturation input_dead_zone input_quadratic
 input_position_gain play_hysteresis actuator_creep sensor_offset sensor_drift sensor_delay sensor_lag sensor_crosstalk
-sensor_nonlinearity clock_scale unmodelled_mode stiffness_drift stiffness_step mass_step position_dependent_stiffness
-periodic_disturbance force_step""".split()
+sensor_nonlinearity clock_scale dropped_samples unmodelled_mode stiffness_drift stiffness_step mass_step
+position_dependent_stiffness periodic_disturbance force_step""".split()
 
 EFFECTS = CATALOGUE + MODEL_ERRORS
 NAMES = [effect.id for effect in EFFECTS]
@@ -43,6 +43,7 @@ NEARLY_LINEAR = {
     "sensor_delay",
     "sensor_lag",
     "clock_scale",
+    "dropped_samples",
     "mass_step",
 }
 """Effects whose response is linear in the amplitude only while it is small."""
@@ -406,6 +407,13 @@ def test_clock_scale_stretches_time():
     y = np.sin(8.0 * T + 0.4)
     got = by_id("clock_scale").apply(jnp.array([-0.003]), jnp.asarray(y), jnp.zeros(SAMPLES), TIME)
     np.testing.assert_allclose(got[2:-2], np.sin(8.0 * T * 0.997 + 0.4)[2:-2], atol=1e-4)
+
+
+def test_dropped_samples_bring_what_follows_early():
+    y = np.sin(8.0 * T + 0.4)
+    got = by_id("dropped_samples").apply(jnp.array([3.0, 1.505, TIME]), jnp.asarray(y), jnp.zeros(SAMPLES), TIME)
+    np.testing.assert_allclose(got[:150], y[:150], atol=1e-12)
+    np.testing.assert_allclose(got[151:-3], y[154:], atol=1e-12)
 
 
 def test_unmodelled_mode_is_an_attached_oscillator():

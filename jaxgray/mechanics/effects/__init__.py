@@ -71,6 +71,7 @@ CATALOGUE: tuple[AbstractEffect, ...] = (
     sensor.SensorCrosstalk(),
     sensor.SensorNonlinearity(),
     sensor.ClockScale(),
+    sensor.DroppedSamples(),
     structure.UnmodelledMode(),
     structure.StiffnessDrift(),
     structure.StiffnessStep(),
@@ -91,7 +92,6 @@ RECORD_FINDINGS: dict[str, str] = {
     "sensor_clipping": "the sensor ends at a limit: many samples at the same extreme value",
     "sensor_quantization": "the resolution of the sensor is coarse against its noise",
     "outliers": "single samples far off their neighbours",
-    "dropped_samples": "rows missing from the time column, or a jump of the output's clock by whole samples",
     "process_noise": "unrecorded random forces move the plant: not repeatable over periods",
     "closed_loop": "the input depends on the output: the residual is correlated with the future input",
 }

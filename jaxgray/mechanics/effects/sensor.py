@@ -10,6 +10,7 @@ import numpy as np
 from ...numerics.lifting import respond
 from .actuator import SAMPLES, lag_step
 from .base import AbstractOutputEffect, Parameter
+from .structure import step_at
 
 
 def _times(y, time):
@@ -159,9 +160,35 @@ class ClockScale(AbstractOutputEffect):
     signature = "residual like the velocity, growing over the record"
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
     places = "record"
+    stage = "record"
 
     def shapes(self, scales):
         return [np.array([0.2 * scales.sampling_time / scales.duration])]
 
     def apply(self, p, y, source, time):
         return interpolated(y, jnp.arange(y.shape[0]) * (1.0 + p[0]))
+
+
+class DroppedSamples(AbstractOutputEffect):
+    """Samples of the outputs that the logger lost without a gap in the time column: what follows comes too early."""
+
+    id = "dropped_samples"
+    family = "sensor"
+    law = "y at t + count·h·step(t − t0), h the sampling time; or rows missing from the time column"
+    parameters = (
+        Parameter("count", lower=-100.0, upper=100.0, amplitude=True),
+        Parameter("t0", (0, 0, 1), lower=0.0),
+        Parameter("width", (0, 0, 1), lower=0.0, counts=False),
+    )
+    parity = "odd"
+    signature = "residual like the velocity from a moment on"
+    reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
+    places = "record"
+    stage = "record"
+
+    def shapes(self, scales):
+        return [np.array([0.2, t0, scales.sampling_time]) for t0 in scales.times]
+
+    def apply(self, p, y, source, time):
+        jump = p[0] * step_at(_times(y, time), p[1], p[2])
+        return interpolated(y, jnp.arange(y.shape[0]) + jump)
