@@ -28,7 +28,7 @@ from .baseline import baseline_of, independent_floor
 from .bench import Bench
 from .competitor import FlexibleForce
 from .experiment import next_experiment
-from .growth import Growth, grow, residual_rms
+from .growth import Growth, grow, recount, residual_rms
 from .judgement import FreeRun, gain_of, overall
 from .problem import Data
 from .ranking import gate_of, rejected_of
@@ -168,6 +168,8 @@ def _assembled(
     setup, data = bench.simulator.setup, bench.data[0]
     if floor is None:
         floor = residual_rms(growth.stage.e, data)
+    if len(growth.accepted) > 1:
+        recount(bench, growth, floor)
     names = records[0].output_names
     start_run = FreeRun(growth.start.motion.y, growth.start.e, data.kept)
     last_run = FreeRun(growth.stage.motion.y, growth.stage.e, data.kept)

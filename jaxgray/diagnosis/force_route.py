@@ -63,13 +63,14 @@ class Trial:
 
 @dataclass(frozen=True)
 class Taken:
-    """An accepted law: `trial`, the `rivals` of its class, `gain`, relative force `error` with it; `stood_in`: what had
-    stood in for it before, with its ΔBIC against it."""
+    """An accepted law: `trial`, the `rivals` of its class, `gain`, relative force `error` and free `runs` with it;
+    `stood_in`: what had stood in for it before, with its ΔBIC against it."""
 
     trial: Trial
     rivals: tuple[Trial, ...]
     gain: Gain
     error: float
+    runs: tuple[list[FreeRun], list[FreeRun]]
     stood_in: tuple[tuple[Trial, float], ...] = ()
 
 
@@ -169,6 +170,7 @@ def search_forces(
         if not _round(search):
             break
         _backward(search)
+    _recount(search)
     return search
 
 
@@ -297,7 +299,7 @@ def _round(search: Search) -> bool:
                     words = f"explains little more than {' at '.join(trial.name)}, with more parameters"
                 search.rejected.append(Rejected(*other.name, other.delta_bic, words))
         search.fit, search.runs = fit, runs
-        search.taken.append(Taken(trial, tuple(rivals[:3]), gain, search.error(fit)))
+        search.taken.append(Taken(trial, tuple(rivals[:3]), gain, search.error(fit), runs))
         return True
     return False
 
@@ -327,7 +329,19 @@ def _backward(search: Search) -> None:
         why = "needless once the others are in the model"
         search.rejected.append(Rejected(*gone.trial.name, gone.trial.delta_bic, why))
         search.fit, search.runs = fit, runs
+        search.taken[-1] = dataclasses.replace(search.taken[-1], runs=runs)
         return
+
+
+def _recount(search: Search) -> None:
+    """Gains that add up: of every law over what the laws before it leave."""
+    base = before = search.base_runs[1] or search.base_runs[0]
+    names, held_out = search.records[0].output_names, bool(search.base_runs[1])
+    for k, taken in enumerate(search.taken):
+        after = taken.runs[1] or taken.runs[0]
+        gain = gain_of(before, after, base, rms_of(base), names, held_out=held_out, rng=search.rng)
+        search.taken[k] = dataclasses.replace(taken, gain=gain)
+        before = after
 
 
 def rms_of(runs: list[FreeRun]) -> np.ndarray:

@@ -64,11 +64,12 @@ TIME_LOCAL = frozenset(
 
 @dataclass(frozen=True)
 class Accepted:
-    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`."""
+    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs."""
 
     attempt: Attempt
     rivals: tuple[Attempt, ...]
     gain: Gain
+    runs: list[FreeRun]
 
     @property
     def stage(self) -> str:
@@ -197,7 +198,7 @@ def _round(bench: Bench, growth: Growth, screening: Screening, closer: Screening
                 growth.rejected.append(Rejected(*other.name, other.delta_bic, f"{bound} ran to its physical bound"))
             else:
                 rivals.append(other)
-        growth.accepted.append(Accepted(attempt, tuple(rivals[:3]), gain))
+        growth.accepted.append(Accepted(attempt, tuple(rivals[:3]), gain, runs))
         growth.fit, growth.runs = attempt.fit, runs
         growth.stage = _stage(bench, attempt.fit.candidate)
         return True
@@ -316,4 +317,17 @@ def _backward(bench: Bench, growth: Growth) -> None:
             fit = with_states(bench.simulator, fit, bench.data)
             growth.fit, growth.stage = fit, _stage(bench, fit.candidate)
             growth.runs = [_held_out_run(bench, fit.candidate, d) for d in bench.validation]
+            growth.accepted[-1] = dataclasses.replace(growth.accepted[-1], runs=growth.runs)
             return
+
+
+def recount(bench: Bench, growth: Growth, floor: np.ndarray) -> None:
+    """Gains that add up: of every finding over what the findings before it leave, in units of one noise floor."""
+    before = growth.baseline_runs
+    for k, accepted in enumerate(growth.accepted):
+        if accepted.gain.held_out:
+            gain = gain_of(
+                before, accepted.runs, growth.baseline_runs, floor, bench.names[1], held_out=True, rng=bench.rng
+            )
+            growth.accepted[k] = dataclasses.replace(accepted, gain=gain)
+            before = accepted.runs

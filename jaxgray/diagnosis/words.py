@@ -267,7 +267,10 @@ def _gain(diagnosis: "Diagnosis", causes: "list[Finding]") -> str:
         change += " on the data it was fitted to (in-sample, not proven on held-out data)"
     if diagnosis.excess < ONLY_NOISE:
         # Where the noise is taken from the final model itself, something may be left all the same.
-        return f"{change}." if diagnosis.verdict == "partly" else f"{change} and leaves only noise."
+        if diagnosis.verdict == "partly":
+            return f"{change}."
+        noise = diagnosis.white or any(f.effect == "process_noise" for f in diagnosis.findings)
+        return f"{change} and leaves {'only noise' if noise else 'nothing that has a name'}."
     return f"{change} and leaves {times(diagnosis.excess)} the noise floor."
 
 

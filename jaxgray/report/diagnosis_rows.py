@@ -39,7 +39,8 @@ def findings_rows(document: dict) -> Rows:
         for member in rivals(finding):
             body.append(
                 (
-                    "or " + title_of(member["effect"], member["location"], names),
+                    ("or " if finding["status"] == "equivalent" else "rather than ")
+                    + title_of(member["effect"], member["location"], names),
                     "",
                     number(member["delta_bic"], "{:+.1f}"),
                     "",
@@ -188,8 +189,10 @@ def candidates(document: dict) -> list[dict]:
             add(finding, parameters=finding["parameters"], gain=finding["gain"], status=finding["status"])
             for member in rivals(finding):
                 below = None if member["delta_bic"] is None else finding["delta_bic"] + member["delta_bic"]
-                why = "this record cannot tell it from the finding"
-                add(member, refit=below, parameters=member["parameters"], status="in the class", why=why)
+                alike = finding["status"] == "equivalent"
+                status = "in the class" if alike else "rejected"
+                why = "this record cannot tell it from the finding" if alike else "stood in for the finding before"
+                add(member, refit=below, parameters=member["parameters"], status=status, why=why)
     for one in document["rejected"]:
         add(one, parameters=one["parameters"], gain=one["gain"], status="rejected", why=one["why"])
     for one in document["gate"][: len(found) + MORE]:

@@ -70,7 +70,9 @@ def _causes(document: dict) -> list[dict]:
 
 def _card(document: dict, finding: dict, names: tuple[str, ...], count: int) -> tuple[Fact, ...]:
     """Cause, place, parameters, gain of a finding."""
-    others = ", or ".join(title_of(one["effect"], one["location"], names) for one in rivals(finding))
+    others = ", or ".join(
+        title_of(one["effect"], one["location"], names) for one in rivals(finding) if finding["status"] == "equivalent"
+    )
     # Of a single finding the gain is that of the whole extension, which the sentence tells.
     gain = document["extended"]["gain"] if count == 1 and document["extended"] else finding["gain"]
     seen = "held-out data" if gain and gain["held_out"] else "the data of the fit"
