@@ -1,5 +1,7 @@
 """From a search in the force equation to a `Diagnosis`."""
 
+import dataclasses
+
 import numpy as np
 
 from ..identification import Identification
@@ -97,6 +99,9 @@ def _finding(search: Search, index: int) -> Finding:
     taken = search.taken[index]
     record = search.records[0]
     members = [_member(search.fit, index, record, 0.0)]
+    if shared := _shared(search, index):
+        own = {name: value for name, value in members[0].parameters.items() if name not in shared}
+        members[0] = dataclasses.replace(members[0], parameters=own)
     for rival in taken.rivals:
         members.append(_member(rival.fit, -1, record, min(rival.delta_bic - taken.trial.delta_bic, 0.0)))
     status = "named" if len(members) == 1 else "equivalent"
@@ -111,15 +116,15 @@ def _finding(search: Search, index: int) -> Finding:
         members[0].parameters,
         taken.trial.delta_bic,
         taken.gain,
-        f"Relative force error {before:.3g} before, {taken.error:.3g} after." + _shared(search, index),
+        f"Relative force error {before:.3g} before, {taken.error:.3g} after."
+        + (f" {', '.join(shared)} is that of the finding before." if shared else ""),
     )
 
 
-def _shared(search: Search, index: int) -> str:
-    """What is said where a law's part is in the model already."""
+def _shared(search: Search, index: int) -> list[str]:
+    """Parameters of a law that an earlier finding has in the model already."""
     term, moving = search.fit.terms[index], search.fit.moving[index]
-    fixed = [p.name for j, p in enumerate(term.effect.parameters) if p.amplitude and j not in moving]
-    return f" {', '.join(fixed)} is beside what an earlier finding has of it." if fixed else ""
+    return [p.name for j, p in enumerate(term.effect.parameters) if p.amplitude and j not in moving]
 
 
 def _member(fit: ForceFit, index: int, record: Record, difference: float) -> Member:

@@ -145,7 +145,7 @@ def verdict_sentence(diagnosis: "Diagnosis") -> str:
     if diagnosis.verdict in ("unexplained", "partly"):
         parts += [_unexplained(diagnosis, bool(causes))]
     if causes and not diagnosis.own_model:
-        parts += [_hidden(diagnosis)]
+        parts += [_hidden(diagnosis, len(causes))]
     seen = [f for f in diagnosis.findings if f.stage == "record"]
     if seen:
         names = diagnosis.baseline.model.output_names
@@ -270,7 +270,9 @@ def _gain(diagnosis: "Diagnosis", causes: "list[Finding]") -> str:
         if diagnosis.verdict == "partly":
             return f"{change}."
         noise = diagnosis.white or any(f.effect == "process_noise" for f in diagnosis.findings)
-        return f"{change} and leaves {'only noise' if noise else 'nothing that has a name'}."
+        if noise:
+            return f"{change} and leaves only noise."
+        return f"{change}; what is left is more than white noise, and no law of the catalogue explains it."
     return f"{change} and leaves {times(diagnosis.excess)} the noise floor."
 
 
@@ -302,7 +304,7 @@ def entry_of(name: str, outputs: tuple[str, ...]) -> tuple[str, str, str]:
     return matrix, r, c
 
 
-def _hidden(diagnosis: "Diagnosis") -> str:
+def _hidden(diagnosis: "Diagnosis", causes: int) -> str:
     """Which entry of the linear model had taken the effect in, if one clearly had."""
     outputs = diagnosis.baseline.model.output_names
 
@@ -319,7 +321,8 @@ def _hidden(diagnosis: "Diagnosis") -> str:
     matrix, place, _ = entry_of(most.name, outputs)
     where = f"the {matrix}" + (f" at {place}" if len(outputs) > 1 else "")
     percent = 100 * (most.before / most.after - 1)
-    return f"It had been hidden as {percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in {where}."
+    subject = "It" if causes == 1 else "They"
+    return f"{subject} had been hidden as {percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in {where}."
 
 
 def describe(diagnosis: "Diagnosis") -> str:

@@ -1,7 +1,10 @@
 """The page of a diagnosis: the verdict, then nine parts from the runs to the next experiment."""
 
+import numpy as np
+
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.words import place_of, times, title_of
+from ..mechanics.effects import AbstractEffect
 from .diagnosis_rows import (
     budget_rows,
     candidate_rows,
@@ -38,6 +41,17 @@ VERDICTS = {
     "unexplained": "something is missing that has no name",
     "noise": "nothing is missing",
 }
+KINDS = {
+    "coordinate": "a force on this coordinate",
+    "spring": "a force on this coordinate, to ground",
+    "pair": "a force between these two",
+    "input": "this input",
+    "output": "the sensor of this output",
+    "cross": "a channel that leaks into another",
+    "record": "all outputs",
+}
+"""What a place means, by where laws can act."""
+
 FOLDED = 12
 """Rows from which a table is closed at first."""
 
@@ -52,12 +66,15 @@ def diagnosis_page(diagnosis: Diagnosis, document: dict) -> Page:
     names = output_names(document)
     causes = _causes(document)
     titles = [title_of(one["effect"], one["location"], names) for one in causes]
+    laws = {term.effect.id: term.effect for term in diagnosis.terms}
+    cards = [_card(document, one, names, k, len(causes), laws.get(one["effect"])) for k, one in enumerate(causes)]
+    badge = VERDICTS[document["verdict"]]
     return Page(
-        "; ".join(titles) or VERDICTS[document["verdict"]].capitalize(),
+        "; ".join(titles) or badge.capitalize(),
         "diagnosis",
-        VERDICTS[document["verdict"]],
+        "causes named" if len(causes) > 1 and document["verdict"] == "named" else badge,
         document["sentence"],
-        tuple(_card(document, one, names, len(causes)) for one in causes) + (_summary(document, len(causes)),),
+        (*cards, _summary(document, len(causes))),
         tuple(section for section in _sections(diagnosis, document) if section.blocks),
         document,
     )
@@ -68,45 +85,70 @@ def _causes(document: dict) -> list[dict]:
     return [one for one in document["findings"] if one["stage"] == "model" and one["status"] != "unexplained"]
 
 
-def _card(document: dict, finding: dict, names: tuple[str, ...], count: int) -> tuple[Fact, ...]:
-    """Cause, place, parameters, gain of a finding."""
+def _card(
+    document: dict, finding: dict, names: tuple[str, ...], index: int, count: int, law: AbstractEffect | None
+) -> tuple[Fact, ...]:
+    """Cause, place, parameters, gain of a finding, `index` of `count`."""
     others = ", or ".join(
         title_of(one["effect"], one["location"], names) for one in rivals(finding) if finding["status"] == "equivalent"
     )
     # Of a single finding the gain is that of the whole extension, which the sentence tells.
     gain = document["extended"]["gain"] if count == 1 and document["extended"] else finding["gain"]
-    seen = "held-out data" if gain and gain["held_out"] else "the data of the fit"
+    seen = "on held-out data" if gain and gain["held_out"] else "on the data of the fit"
+    if index:
+        seen += ", beyond the cause above" if index == 1 else ", beyond the causes above"
+    kind = "" if law is None else KINDS["pair" if " and " in place_of(finding["location"], names) else law.places]
     return (
         Fact("Cause", title_of(finding["effect"], "").capitalize(), f"or {others}" if others else finding["status"]),
-        Fact("Place", place_of(finding["location"], names).removeprefix("at ") or "–"),
-        Fact("Size ± standard error", parameter_lines(estimated(finding["parameters"]), fixed=False) or "–"),
-        Fact("Error taken off (95 % interval)", gain_words(gain).removesuffix(", in-sample"), f"on {seen}"),
+        Fact("Place", place_of(finding["location"], names).removeprefix("at ") or "–", kind),
+        Fact(
+            "Size ± standard error",
+            parameter_lines(estimated(finding["parameters"]), fixed=False) or "–",
+            "" if law is None else law.law,
+        ),
+        Fact("RMS error taken off (95 % interval)", gain_words(gain).removesuffix(", in-sample"), seen),
     )
 
 
 def _summary(document: dict, causes: int) -> tuple[Fact, ...]:
     """How far off the model was, what all findings mend, what is left."""
-    before, after = document["baseline"]["excess"], document["remaining"]["excess"]
     extended = document["extended"]
-    facts = [Fact("Error before", _times(before), "the noise floor, over all outputs")]
+    gain = None if extended is None else extended["gain"]
+    kind = error_kind(document) if gain is None or gain["held_out"] else "estimation"
+    data = {"validation": "held-out data", "estimation": "the data of the fit"}[kind]
+    outputs = "" if len(output_names(document)) == 1 else ", over all outputs"
+    floor = document["baseline"]["noise_floor"]
+    facts = [
+        Fact(
+            "RMS error before",
+            _times(document["baseline"]["rmse"][kind], floor),
+            f"the noise floor, on {data}{outputs}",
+        )
+    ]
     if extended is not None:
-        facts.append(Fact("Error after", _times(after), _after(document)))
+        facts.append(Fact("RMS error after", _times(extended["rmse"][kind], floor), f"the noise floor, on {data}"))
         if causes > 1:
-            facts.append(Fact("All together take off", gain_words(extended["gain"]), "of the error"))
-    left = "white" if document["remaining"]["white"] else "not white"
-    depends = ", ".join(document["remaining"]["depends_on"])
-    facts.append(Fact("What is left", left, f"depends on {depends}" if depends else ""))
+            facts.append(Fact("All together take off", gain_words(gain), f"of the error on {data}"))
+    facts.append(Fact("What is left", *_left(document)))
     return tuple(facts)
 
 
-def _after(document: dict) -> str:
-    """What the error after is measured by."""
-    own = document["baseline"]["noise_floor_source"].startswith("residual of the final")
-    return "the noise floor, which is taken from what is left" if own else "the noise floor; 1 is noise alone"
+def _left(document: dict) -> tuple[str, str]:
+    """Whether anything but noise is left, and what is known of it."""
+    remaining = document["remaining"]
+    if remaining["depends_on"]:
+        return "more than noise", f"depends on {', '.join(remaining['depends_on'])}"
+    if remaining["white"]:
+        return "noise alone", "white: what came before does not tell what comes"
+    if any(one["effect"] == "process_noise" for one in document["findings"]):
+        return "noise", "part of it enters at the forces"
+    return "more than white noise", "no law of the catalogue explains it"
 
 
-def _times(excess: float | None) -> str:
-    return "–" if excess is None else times(excess)
+def _times(rmse: dict, floor: dict) -> str:
+    """Error over noise floor, root mean square over the outputs."""
+    ratios = [rmse[name] / floor[name] for name in floor if floor[name] and rmse.get(name) is not None]
+    return times(float(np.sqrt(np.mean(np.square(ratios))))) if ratios else "–"
 
 
 def _sections(diagnosis: Diagnosis, document: dict):
@@ -120,7 +162,8 @@ def _sections(diagnosis: Diagnosis, document: dict):
     yield Section(
         "findings",
         "What was found",
-        "Each finding with its evidence (ΔBIC, from 10 it counts), what it takes off the error, and its parameters.",
+        "Each finding with its evidence (ΔBIC, from 10 it counts), what it takes off the RMS error beyond "
+        "those above it, and its parameters.",
         ((Table(findings, "Findings", False), Words(messages)) if findings.body else ())
         + (Table(error_rows(document), f"Fit and error of the free run, on {kind}"),)
         + (Words((f"Left: {what_is_left(document)}.",)),),

@@ -73,7 +73,8 @@ def test_the_first_screen_tells_cause_place_size_and_gain():
     cause, place, size, gain = made.cards[0]
     assert (cause.value, place.value, size.value) == ("Coulomb friction", "y1", "Fc = 0.2412 ± 0.0023 N")
     assert (gain.value, gain.remark) == ("64.2 % (61.1 to 66.8)", "on held-out data")
-    assert [fact.value for fact in made.cards[1]] == ["2.1×", "1.00×", "white"]
+    # Root mean square of 2.8 and 1.05 before, of 1 and 1 after.
+    assert [fact.value for fact in made.cards[1]] == ["2.1×", "1.00×", "noise alone"]
 
 
 def test_every_table_is_that_of_the_document():
