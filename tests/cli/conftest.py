@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from independent import REFERENCE, REFERENCE_TIME, random_steps, reference_record, simulate
 
-SAMPLES = 3000
+SAMPLES = 2000
 
 
 @pytest.fixture(scope="session", autouse=True)

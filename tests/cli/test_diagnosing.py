@@ -71,7 +71,7 @@ def test_diagnose_holds_out_the_last_part_by_itself(asked, records, capsys):
     run("diagnose", records[0], *CHANNELS, "--only", "coulomb_friction, end_stop", "--max-effects", "2", "--seed", "3")
     said = capsys.readouterr()
     assert said.err == "" and said.out.splitlines()[0] == asked.answer.sentence
-    assert asked.record.samples == 3000
+    assert asked.record.samples == 2000
     chosen = {name: asked.options[name] for name in ("validation", "model", "only", "exclude", "max_effects", "seed")}
     assert chosen == {
         "validation": None,
@@ -93,7 +93,7 @@ def test_diagnose_writes_json_figures_and_the_experiment(asked, records, tmp_pat
     options = ["--validation", records[1], "--json", target, "--figures", tmp_path / "drawn", "--experiment", csv]
     options += ["--report", tmp_path / "out.html"]
     run("diagnose", records[0], *CHANNELS, *options)
-    assert asked.options["validation"].samples == 3000
+    assert asked.options["validation"].samples == 2000
     found = strict(target.read_text())
     assert (found["schema"], found["verdict"]) == ("jaxgray/diagnosis/1", "equivalent")
     assert (tmp_path / "drawn" / "extension.png").read_bytes().startswith(b"\x89PNG")

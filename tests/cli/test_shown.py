@@ -72,7 +72,7 @@ def test_identify_writes_strict_json(identified):
     assert np.shape(found["covariance"]["matrix"]) == (9, 9) == (len(found["covariance"]["names"]), 9)
     assert found["residual_test"] == {"white": True, "input_explained": False, "feedback": False}
     assert found["structure_test"]["fits"]
-    assert found["records"]["estimation"][0]["samples"] == 3000
+    assert found["records"]["estimation"][0]["samples"] == 2000
 
 
 def test_without_refinement_what_is_not_known_is_null(records, capsys):
@@ -112,10 +112,10 @@ def test_warnings_of_the_reader_are_told_and_kept(records, tmp_path, capsys):
     path.write_text("\n".join(lines) + "\n")
     run("identify", path, *CHANNELS, "--no-refine", "--json", tmp_path / "out.json")
     said = capsys.readouterr()
-    told = [line for line in said.err.splitlines() if line.startswith("warning: gap.csv: 3 of 3000")]
+    told = [line for line in said.err.splitlines() if line.startswith("warning: gap.csv: 3 of 2000")]
     assert len(told) == 1
     assert any(
-        text.startswith("gap.csv: 3 of 3000") for text in strict((tmp_path / "out.json").read_text())["warnings"]
+        text.startswith("gap.csv: 3 of 2000") for text in strict((tmp_path / "out.json").read_text())["warnings"]
     )
 
 
@@ -204,7 +204,7 @@ def test_sweep_tabulates_every_choice(records, tmp_path, capsys):
 
 def record(seed):
     """A record with the data of the files."""
-    u, y, _ = reference_record(seed, samples=3000)
+    u, y, _ = reference_record(seed, samples=2000)
     return jaxgray.Record(u, y, REFERENCE_TIME, input_units=("N", "N"), output_units=("m", "m"))
 
 
@@ -230,11 +230,11 @@ def test_compare(result):
 
 def test_long_records_keep_their_extremes_and_gaps(result):
     data = result.validation_records[0]
-    u, y = (np.tile(x, (10, 1)) for x in (data.u, data.y))
+    u, y = (np.tile(x, (15, 1)) for x in (data.u, data.y))
     y[20000, 0], y[100:2000, 1] = 7.0, np.nan
     fit = result.validation[0]
     stretched = dataclasses.replace(
-        fit, simulated=np.tile(fit.simulated, (10, 1)), residual=np.tile(fit.residual, (10, 1))
+        fit, simulated=np.tile(fit.simulated, (15, 1)), residual=np.tile(fit.residual, (15, 1))
     )
     long = jaxgray.Record(u, y, REFERENCE_TIME)
     figure = compare(dataclasses.replace(result, validation=(stretched,), validation_records=(long,)))

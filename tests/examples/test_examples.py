@@ -30,7 +30,7 @@ def blocks(language):
 
 def test_the_papers_simulation_beats_its_published_errors(tmp_path, capsys):
     paper = example("paper_simulation")
-    found = paper.main(["--samples", "6000", "--out", str(tmp_path)])
+    found = paper.main(["--samples", "4000", "--out", str(tmp_path)])
     errors = found["errors"]
     assert errors["published"] == paper.PUBLISHED
     assert np.all(np.less(errors["refined"], paper.PUBLISHED)), errors["refined"]
@@ -51,7 +51,7 @@ def test_the_papers_simulation_beats_its_published_errors(tmp_path, capsys):
 
 def test_the_micro_manipulators_frequencies_are_found_without_tuning(capsys):
     manipulator = example("micro_manipulator")
-    found = manipulator.main(["--samples", "6000"])
+    found = manipulator.main(["--samples", "4000"])
     error = found["frequencies_hz"] - manipulator.FREQUENCIES_HZ
     assert np.all(np.abs(error) < 1e-3 * manipulator.FREQUENCIES_HZ)
     assert np.all(np.abs(error) < 4.5 * found["standard_errors_hz"])
