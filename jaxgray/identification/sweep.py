@@ -64,13 +64,20 @@ def record_factors(
 
     **Returns:** the factors, and whether Householder QR was used.
     """
-    parts = [factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=False) for s in signals]
+    inputs = signals[0].u.shape[1]
+
+    def parts_by(householder: bool):
+        options = {"inputs": inputs, "block_rows": block_rows, "householder": householder}
+        return [factors(poles, s.stacked, s.inside, **options) for s in signals]
+
+    parts = parts_by(householder=False)
     usable = np.all([np.asarray(pivot > RANK_TOLERANCE) for _, pivot in parts], axis=0)
     householder = bool(np.sum(usable) <= len(usable) / 2)
     if householder:
-        parts = [factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=True) for s in signals]
+        parts = parts_by(householder=True)
         usable[:] = True
-    grid = jax.vmap(combine)(jnp.stack([factor for factor, _ in parts], axis=1))
+    stacked = jnp.stack([factor for factor, _ in parts], axis=1)
+    grid = jax.vmap(lambda several: combine(several, inputs, block_rows))(stacked)
     return jnp.where(jnp.asarray(usable)[:, None, None], grid, jnp.nan), householder
 
 
