@@ -1,6 +1,8 @@
 """How the model is found: λ-domain subspace or regression start, then prediction-error refinement."""
 
 from .identify import identify as identify
+from .many import identify_many as identify_many
+from .many_result import Identifications as Identifications
 from .result import Identification as Identification
 from .stabilisation import Stabilisation as Stabilisation
 from .stabilisation import stabilisation as stabilisation
