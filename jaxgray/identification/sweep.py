@@ -1,6 +1,8 @@
 """Time constant τ × block rows i: every choice from one factor per τ, scored by free-run simulation."""
 
+import concurrent.futures
 import functools
+import os
 
 import equinox as eqx
 import jax
@@ -153,10 +155,16 @@ def candidates(
 ) -> Candidate:
     """`candidate` over the grid τ × i; the leading axes of the result are the grid's.
 
-    One compiled function serves every τ. The loop over τ stays on the host: inside a traced loop the CPU
-    backend gains nothing from it and can run out of threads (see `numerics.runtime`).
+    One compiled function serves every τ. The loop over τ stays on the host, one thread per core: inside a traced
+    loop the CPU backend gains nothing from it and can run out of threads (see `numerics.runtime`).
     """
-    found = [_over_block_rows(factor, a, block_rows, signals, **static) for factor, a in zip(factor_grid, poles)]
+
+    def one(k):
+        return jax.block_until_ready(_over_block_rows(factor_grid[k], poles[k], block_rows, signals, **static))
+
+    first = [one(0)]  # Compiled once, not by every thread.
+    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as threads:
+        found = first + list(threads.map(one, range(1, len(poles))))
     return jax.tree_util.tree_map(lambda *parts: jnp.stack(parts), *found)
 
 

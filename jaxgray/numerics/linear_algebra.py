@@ -66,7 +66,7 @@ def duplication(n: int) -> np.ndarray:
 
 
 def orthonormal_basis(
-    X: Float[Array, "rows columns"], kept: Bool[Array, " columns"], *, householder: bool
+    X: Float[Array, "rows columns"], kept: Bool[Array, " columns"], *, householder: bool, passes: int = 2
 ) -> Float[Array, "rows columns"]:
     """Orthonormal basis of the kept columns; zero where a column is not kept.
 
@@ -75,7 +75,8 @@ def orthonormal_basis(
     dependent. A column that is not kept is given a dimension of its own, so that padding never touches
     the rest.
 
-    **Arguments:** `X`: columns; `kept`: which of them count; `householder`: take the slower way.
+    **Arguments:** `X`: columns; `kept`: which of them count; `householder`: take the slower way;
+    `passes`: of Cholesky, default 2; one is orthonormal only to the square of the condition number.
 
     **Returns:** a matrix of the shape of `X`.
     """
@@ -83,7 +84,7 @@ def orthonormal_basis(
     if householder:
         extended = jnp.concatenate([X, jnp.diag(jnp.where(kept, 0.0, 1.0))], axis=0)
         return jnp.where(kept, jnp.linalg.qr(extended)[0][: X.shape[0]], 0.0)
-    for _ in range(2):
+    for _ in range(passes):
         gram = X.T @ X + jnp.diag(jnp.where(kept, 0.0, 1.0))
         X = jsl.solve_triangular(jnp.linalg.cholesky(gram), X.T, lower=True).T
     return X
