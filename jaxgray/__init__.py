@@ -8,10 +8,12 @@ from .numerics.notebook import show_with
 if TYPE_CHECKING:
     from .diagnosis.diagnose import diagnose as diagnose
     from .diagnosis.result import Diagnosis as Diagnosis
+    from .identification import CompressedRecord as CompressedRecord
     from .identification import Identification as Identification
     from .identification import Identifications as Identifications
     from .identification import Stabilisation as Stabilisation
     from .identification import Sweep as Sweep
+    from .identification import compress as compress
     from .identification import identify as identify
     from .identification import identify_many as identify_many
     from .identification import stabilisation as stabilisation
@@ -39,10 +41,12 @@ _HOMES = {
     "diagnosis.diagnose": ("diagnose",),
     "diagnosis.result": ("Diagnosis",),
     "identification": (
+        "CompressedRecord",
         "Identification",
         "Identifications",
         "Stabilisation",
         "Sweep",
+        "compress",
         "identify",
         "identify_many",
         "stabilisation",

@@ -6,5 +6,7 @@ from .many_result import Identifications as Identifications
 from .result import Identification as Identification
 from .stabilisation import Stabilisation as Stabilisation
 from .stabilisation import stabilisation as stabilisation
+from .streaming import CompressedRecord as CompressedRecord
+from .streaming import compress as compress
 from .sweeping import Sweep as Sweep
 from .sweeping import sweep as sweep
