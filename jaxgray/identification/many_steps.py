@@ -13,7 +13,7 @@ import jax.scipy.linalg as jsl
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from ..numerics.lifting import free_response, respond
+from ..numerics.lifting import SHORT_BLOCK, free_response, respond
 from ..numerics.linear_algebra import triangle_vector
 from .conic import DECREMENT
 from .prediction import Setting
@@ -25,10 +25,6 @@ FIRST_DAMPING = 1e-3
 MOST_DAMPING = 1e8
 LAGS = 25
 """Lags over which the residual's whiteness is judged."""
-
-
-SHORT_BLOCK = 16
-"""Samples per block of the simulation: the derivative's products are twice as cheap as with 32."""
 
 
 class One(eqx.Module):

@@ -78,6 +78,8 @@ class CompressedRecord:
             part = np.concatenate([u[first : first + size], y[first : first + size]], axis=1)
             kept = (np.arange(size) < len(part)).astype(float)
             moments = _add(moments, self.poles, np.pad(part, ((0, size - len(part)), (0, 0))), kept)
+            # Otherwise chunks that wait for their turn would pile up in memory.
+            jax.block_until_ready(moments)
         return moments
 
     def _sizes(self) -> np.ndarray:
