@@ -31,6 +31,9 @@ from .realization import ExactMap
 from .start import subspace_start
 from .sweep import candidates, default_time_constants, usable_block_rows
 
+STEP = 2**14
+"""Samples taken at a time out of a chunk: what the correlations need in passing stays small."""
+
 _add = jax.jit(add_samples)
 
 
@@ -73,7 +76,7 @@ class CompressedRecord:
             )
         u = chunk[:, :inputs] / np.asarray(self.scaling.inputs)
         y = (chunk[:, inputs:] - self.level) / np.asarray(self.scaling.outputs)
-        size = CHUNK_SAMPLES if len(chunk) > LAG_BLOCK else LAG_BLOCK
+        size = STEP if len(chunk) > LAG_BLOCK else LAG_BLOCK
         for first in range(0, len(chunk), size):
             part = np.concatenate([u[first : first + size], y[first : first + size]], axis=1)
             kept = (np.arange(size) < len(part)).astype(float)
