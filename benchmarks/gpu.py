@@ -78,7 +78,7 @@ def cases(records, samples):
     @jax.jit
     def compress(poles, stacked, inside):
         # A factor is unique up to the signs of its rows: its Gram matrix is what two devices can agree on.
-        table, _ = factors(poles, stacked, inside, block_rows=BLOCK_ROWS, householder=False)
+        table, _ = factors(poles, stacked, inside, inputs=2, block_rows=BLOCK_ROWS, householder=False)
         return jnp.einsum("trc,trd->tcd", table, table)
 
     return (

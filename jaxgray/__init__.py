@@ -8,10 +8,14 @@ from .numerics.notebook import show_with
 if TYPE_CHECKING:
     from .diagnosis.diagnose import diagnose as diagnose
     from .diagnosis.result import Diagnosis as Diagnosis
+    from .identification import CompressedRecord as CompressedRecord
     from .identification import Identification as Identification
+    from .identification import Identifications as Identifications
     from .identification import Stabilisation as Stabilisation
     from .identification import Sweep as Sweep
+    from .identification import compress as compress
     from .identification import identify as identify
+    from .identification import identify_many as identify_many
     from .identification import stabilisation as stabilisation
     from .identification import sweep as sweep
     from .mechanics.drives import BaseAcceleration as BaseAcceleration
@@ -36,7 +40,18 @@ if TYPE_CHECKING:
 _HOMES = {
     "diagnosis.diagnose": ("diagnose",),
     "diagnosis.result": ("Diagnosis",),
-    "identification": ("Identification", "Stabilisation", "Sweep", "identify", "stabilisation", "sweep"),
+    "identification": (
+        "CompressedRecord",
+        "Identification",
+        "Identifications",
+        "Stabilisation",
+        "Sweep",
+        "compress",
+        "identify",
+        "identify_many",
+        "stabilisation",
+        "sweep",
+    ),
     "mechanics.drives": ("BaseAcceleration", "BaseDisplacement", "Force"),
     "mechanics.effects": ("CATALOGUE",),
     "mechanics.model": ("MechanicalModel",),

@@ -25,7 +25,9 @@ def test_rooms_stay_small():
 @pytest.mark.parametrize(
     "name",
     [
+        "compress",
         "identify",
+        "identify_many",
         "sweep",
         "read_record",
         "diagnose",

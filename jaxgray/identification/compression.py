@@ -4,8 +4,11 @@ For one time constant the rows are, sample by sample,
 
     [ responses to the initial state | 1 | f_0 (u, y) | f_1 (u, y) | … | f_{2i−1} (u, y) ].
 
-The first two groups are projected out (the start need not be at rest, offsets do not matter), and the
-triangular factor of the rest is kept. Chunks are streamed: memory does not grow with the record.
+The first two groups are projected out (the start need not be at rest, offsets do not matter), and a factor of
+the rest is kept: R with RᵀR the Gram matrix of these columns, triangular once the inputs of all orders stand
+before the outputs, so that its leading rows span the inputs. The Gram matrix comes from correlations; where the
+columns are dependent, as without noise, the rows themselves are filtered and reduced by Householder QR. Either
+way the record is taken in chunks: memory does not grow with it.
 """
 
 import functools
@@ -17,20 +20,24 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.lifting import BLOCK
+from .correlation import Moments, add_samples, gram, no_moments
 from .filter_bank import cascade, lifted_cascade
 
 CHUNK_BLOCKS = 32
 """Blocks filtered at a time; the chunk's rows stay in cache."""
+
+LONGEST = 2**17
+"""Samples up to which a record is one chunk of correlations; longer ones are taken in chunks of a quarter of it."""
 
 RANK_TOLERANCE = 1e-9
 """Smallest squared pivot, relative, for which the Gram matrix is trusted instead of QR."""
 
 
 class FactorState(eqx.Module):
-    """What one pass over a record carries from chunk to chunk, per time constant.
+    """What the Householder pass over a record carries from chunk to chunk, for one time constant.
 
     `filters`: states of the filter cascades, the last column for the response to the initial state;
-    `accumulated`: Gram matrix, or triangular factor, of the rows so far.
+    `accumulated`: triangular factor of the rows so far.
     """
 
     filters: Float[Array, "orders signals"]
@@ -56,14 +63,11 @@ def absorb(
     a: Float[Array, ""],
     signals: Float[Array, "samples signals"],
     kept: Float[Array, " samples"],
-    *,
-    householder: bool,
 ) -> FactorState:
-    """Filter more samples and add their rows.
+    """Filter more samples and add their rows to the triangular factor.
 
     **Arguments:** `state`: so far; `a`: filter pole; `signals`: scaled u and y, a whole number of chunks
-    long; `kept`: 1 for samples that count, 0 for padding; `householder`: accumulate a triangular factor by
-    QR (exact for dependent rows) instead of a Gram matrix.
+    long; `kept`: 1 for samples that count, 0 for padding.
 
     **Returns:** the state after them.
     """
@@ -97,10 +101,7 @@ def absorb(
             axis=1,
         )
         rows = rows * weight[:, None]
-        if householder:
-            accumulated = jnp.linalg.qr(jnp.concatenate([carry.accumulated, rows]), mode="r")
-        else:
-            accumulated = carry.accumulated + rows.T @ rows
+        accumulated = jnp.linalg.qr(jnp.concatenate([carry.accumulated, rows]), mode="r")
         return FactorState(last, accumulated), None
 
     parts = (
@@ -110,59 +111,104 @@ def absorb(
     return jax.lax.scan(chunk, state, parts)[0]
 
 
-def finish(
-    state: FactorState, block_rows: int, *, householder: bool
-) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
-    """Triangular factor after the initial state and the constant are projected out.
+def inputs_first(inputs: int, channels: int, block_rows: int) -> np.ndarray:
+    """Order of a factor's columns with the inputs of every order before the outputs."""
+    place = np.arange(2 * block_rows * channels).reshape(-1, channels)
+    return np.concatenate([place[:, :inputs].ravel(), place[:, inputs:].ravel()])
 
-    **Arguments:** `state` after the last sample; `block_rows`; `householder`: as for `absorb`.
 
-    **Returns:** the upper triangular factor (2i·signals square) and its smallest squared pivot, relative to
-    its column; not a number where the Gram matrix has no Cholesky factor.
+def _pivot(factor: Array, size: Array, order: np.ndarray) -> Float[Array, ""]:
+    """Smallest squared pivot relative to its column."""
+    return jnp.min((jnp.diag(factor[:, order]) / jnp.where(size > 0, size, 1.0)[order]) ** 2)
+
+
+def factor_of_gram(
+    G: Float[Array, "columns columns"], inputs: int, block_rows: int
+) -> tuple[Float[Array, "rows rows"], Float[Array, ""]]:
+    """Factor from the Gram matrix of all columns, by Cholesky.
+
+    **Arguments:** `G`; `inputs`: how many signals are inputs; `block_rows`.
+
+    **Returns:** the factor after the initial state and the constant are projected out (2i·signals square), and its
+    smallest squared pivot, relative to its column; not a number where there is no Cholesky factor.
     """
     first = 2 * block_rows
-    if householder:
-        factor = state.accumulated[first:, first:]
-        size = jnp.linalg.norm(factor, axis=0)
-    else:
-        size = jnp.sqrt(jnp.diag(state.accumulated))
-        scale = jnp.where(size > 0, size, 1.0)
-        lower = jnp.linalg.cholesky(state.accumulated / scale[:, None] / scale[None, :])
-        factor = (lower.T * scale)[first:, first:]
-        size = size[first:]
-    pivot = jnp.min((jnp.diag(factor) / jnp.where(size > 0, size, 1.0)) ** 2)
-    return factor, pivot
+    order = inputs_first(inputs, (len(G) - first) // first, block_rows)
+    whole = np.concatenate([np.arange(first), first + order])
+    size = jnp.sqrt(jnp.diag(G))
+    scale = jnp.where(size > 0, size, 1.0)
+    lower = jnp.linalg.cholesky((G / scale[:, None] / scale[None, :])[whole][:, whole])
+    factor = lower.T[first:, first:][:, np.argsort(order)] * scale[first:]
+    return factor, _pivot(factor, size[first:], order)
 
 
-def combine(factors: Float[Array, "records columns columns"]) -> Float[Array, "columns columns"]:
+def factor_of_rows(
+    accumulated: Float[Array, "columns columns"], inputs: int, block_rows: int
+) -> tuple[Float[Array, "rows rows"], Float[Array, ""]]:
+    """The same from the triangular factor of all columns."""
+    first = 2 * block_rows
+    order = inputs_first(inputs, (len(accumulated) - first) // first, block_rows)
+    rest = accumulated[first:, first:]
+    factor = jnp.linalg.qr(rest[:, order], mode="r")[:, np.argsort(order)]
+    return factor, _pivot(factor, jnp.linalg.norm(rest, axis=0), order)
+
+
+def combine(
+    factors: Float[Array, "records columns columns"], inputs: int, block_rows: int
+) -> Float[Array, "columns columns"]:
     """One factor for several records of the same system."""
     if factors.shape[0] == 1:
         return factors[0]
-    return jnp.linalg.qr(factors.reshape(-1, factors.shape[-1]), mode="r")
+    order = inputs_first(inputs, factors.shape[-1] // (2 * block_rows), block_rows)
+    stacked = factors.reshape(-1, factors.shape[-1])[:, order]
+    return jnp.linalg.qr(stacked, mode="r")[:, np.argsort(order)]
 
 
-@functools.partial(jax.jit, static_argnames=("block_rows", "householder"))
+def moments_of(
+    poles: Float[Array, " time_constants"],
+    signals: Float[Array, "samples signals"],
+    kept: Float[Array, " samples"],
+    block_rows: int,
+) -> Moments:
+    """Moments of a whole record for every time constant, in one chunk or, for long records, several."""
+    moments = no_moments(poles, signals.shape[1], block_rows)
+    if len(signals) <= LONGEST:
+        return add_samples(moments, poles, signals, kept)
+    length = LONGEST // 4
+    padding = -len(signals) % length
+    parts = (
+        jnp.pad(signals, ((0, padding), (0, 0))).reshape(-1, length, signals.shape[1]),
+        jnp.pad(kept, (0, padding)).reshape(-1, length),
+    )
+    return jax.lax.scan(lambda carry, part: (add_samples(carry, poles, *part), None), moments, parts)[0]
+
+
+@functools.partial(jax.jit, static_argnames=("inputs", "block_rows", "householder"))
 def factors(
     poles: Float[Array, " time_constants"],
     signals: Float[Array, "samples signals"],
     kept: Float[Array, " samples"],
     *,
+    inputs: int,
     block_rows: int,
     householder: bool,
 ) -> tuple[Float[Array, "time_constants columns columns"], Float[Array, " time_constants"]]:
     """Factors of one record for every time constant, and their smallest squared pivots.
 
     **Arguments:** `poles`: a = exp(−h/τ) of each; `signals`: u and y scaled to unit size, padded to a whole
-    number of chunks; `kept`: 1 where a sample counts; `block_rows`: the largest i wanted; every smaller one
-    is contained; `householder`: as for `absorb`.
+    number of chunks; `kept`: 1 where a sample counts, 0 for padding at the end; `inputs`: how many signals are
+    inputs; `block_rows`: the largest i wanted; every smaller one is contained; `householder`: filter the rows and
+    take their QR (exact for dependent columns) instead of the Gram matrix.
 
     **Returns:** factors and pivots.
     """
+    if not householder:
+        grams = gram(moments_of(poles, signals, kept, block_rows), poles)
+        return jax.vmap(lambda G: factor_of_gram(G, inputs, block_rows))(grams)
 
     def one(a):
-        state = begin(a, signals.shape[1], block_rows)
-        state = absorb(state, a, signals, kept, householder=householder)
-        return finish(state, block_rows, householder=householder)
+        state = absorb(begin(a, signals.shape[1], block_rows), a, signals, kept)
+        return factor_of_rows(state.accumulated, inputs, block_rows)
 
     return jax.lax.map(one, poles)
 

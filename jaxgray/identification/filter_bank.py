@@ -74,8 +74,10 @@ def past_rows(
     kept = jnp.arange(padded) < block_rows
 
     def step(rows, k):
-        shifted = orthonormal_basis((rows @ S).T, kept, householder=False).T
+        # Each shift worsens the condition by a small factor: one pass keeps it small, the last makes it exact.
+        shifted = orthonormal_basis((rows @ S).T, kept, householder=False, passes=1).T
         return jnp.where(k < shifts, shifted, rows), None
 
     start = jnp.where(kept[:, None], jnp.eye(padded, width), 0.0)
-    return jax.lax.scan(step, start, jnp.arange(padded))[0]
+    rows = jax.lax.scan(step, start, jnp.arange(padded))[0]
+    return orthonormal_basis(rows.T, kept, householder=False, passes=1).T

@@ -101,13 +101,14 @@ def fit_to_factor(realization: Realization, data: Data, *, measured: tuple[str, 
     Ad, Bd, C, Dd = unit_drives(realization, measured, hold)
     a = data.a
     states, dofs = Bd.shape
-    rows = data.family.shape[0]
+    # The rows beyond those that span the inputs hold nothing of H U_f.
+    rows = data.family.shape[1] * data.inputs
     eye = jnp.eye(states)
     ratio = jnp.linalg.solve((eye - a * Ad).T, (Ad - a * eye).T).T
     drive = jnp.linalg.solve(eye - a * Ad, Bd)
     A_lambda = (Ad - a * eye) / (1 - a)
     root = jnp.sqrt((1 - a) / (1 + a))
-    u = data.family[:, : data.padded + 1, : data.inputs]
+    u = data.family[:rows, : data.padded + 1, : data.inputs]
 
     def step(carry, j):
         gamma, X = carry
@@ -135,6 +136,6 @@ def fit_to_factor(realization: Realization, data: Data, *, measured: tuple[str, 
     def off(X):
         return X - jnp.tensordot(Q, Q.T @ X.reshape(X.shape[0], -1), 1).reshape(X.shape)
 
-    table = jnp.concatenate([off(forced), off(Yf.T)[:, :, None]], axis=2)
+    table = jnp.concatenate([off(forced), off(Yf[:rows].T)[:, :, None]], axis=2)
     R = jnp.linalg.qr(table.reshape(-1, table.shape[2]), mode="r")
     return InputFit(R[:, :-1], R[:, -1])

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ..mechanics.drives import AbstractDrive
 from ..mechanics.statespace import StateSpace, sampled
-from ..numerics.lifting import respond
+from ..numerics.lifting import SHORT_BLOCK, respond
 from ..numerics.riccati import kalman_gain
 from .preparation import Signals
 
@@ -61,7 +61,7 @@ def free_run(system: StateSpace, batch: Batch, nuisance: Nuisance) -> Float[Arra
     """Simulated outputs of every record, offset included."""
 
     def one(u, x0):
-        return respond(system.A, system.B, system.C, system.D, u, x0)
+        return respond(system.A, system.B, system.C, system.D, u, x0, block=SHORT_BLOCK)
 
     y = jax.vmap(one)(batch.u, nuisance.x0)
     return y if nuisance.offset is None else y + nuisance.offset[:, None, :]

@@ -2,7 +2,8 @@
 
 The factor's columns stand for the filtered rows: inner products are preserved, so that rows of thousands
 of samples become vectors of some eighty entries. Every number of block rows up to the factor's own is
-served by masks; nothing here changes shape with it.
+served by masks; nothing here changes shape with it. The factor's first rows span the inputs, one order after the
+other, so that projections on inputs, or off them, are choices of rows.
 """
 
 import abc
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 from jaxtyping import Array, Bool, Float
 
-from ..numerics.linear_algebra import dominant_basis, orthonormal_basis
+from ..numerics.linear_algebra import dominant_subspace, orthonormal_basis
 from .filter_bank import lambda_powers, lambda_shift, past_rows
 
 
@@ -35,6 +36,10 @@ class Data(eqx.Module):
     def outputs(self) -> int:
         return self.family.shape[2] - self.inputs
 
+    def of_inputs(self, orders: Array | float) -> Bool[Array, " rows"]:
+        """Which rows span the inputs of the first orders."""
+        return jnp.arange(self.family.shape[0]) < orders * self.inputs
+
     def live(self, fewer: int = 0) -> Bool[Array, " padded"]:
         """Which of the padded orders 0 … i−1 exist, with `fewer` taken off the end."""
         return jnp.arange(self.padded) < self.block_rows - fewer
@@ -55,7 +60,7 @@ def arrange(
 ) -> Data:
     """Future and past from the factor.
 
-    **Arguments:** `factor`: upper triangular, columns ordered by filter, then by channel (u, y); `a`: filter
+    **Arguments:** `factor`: of `compression`, columns ordered by filter, then by channel (u, y); `a`: filter
     pole; `block_rows`: i ≤ `padded`, may be traced; `inputs`: how many channels are inputs.
 
     **Returns:** `Data`.
@@ -146,30 +151,49 @@ class Projections(eqx.Module):
     singular_values: Float[Array, " values"]
 
 
-def _off(Q: Array, X: Array) -> Array:
-    """X without its part in the span of the orthonormal Q."""
-    return X - Q @ (Q.T @ X)
-
-
-def _spans(data: Data, weight: AbstractWeight, fewer: int, past: Array, householder: bool):
-    """Orthonormal bases of the future inputs, and of the past off them.
+class Spans(eqx.Module):
+    """Future inputs, and past: rows that span the inputs, and an orthonormal basis of past outputs off all inputs.
 
     Future and past inputs together span f_0 u … f_{2i−1} u. Taken as these, in this order, they are well
     conditioned at every τ; the past λ-powers beside the future are not (condition 1e8 at τ = 30 h, i = 10).
     """
-    _, Yf = data.future(fewer)
-    rows = data.family.shape[0]
-    order = jnp.arange(2 * data.padded)
-    inputs = data.family[:, :, : data.inputs].reshape(rows, -1)
-    columns, live = [inputs], [jnp.repeat(order < 2 * data.block_rows, data.inputs)]
-    if not weight.input_instruments_only:
-        columns.append(past.reshape(rows, -1))
-        live.append(jnp.repeat(jnp.arange(past.shape[1]) < data.block_rows + fewer, data.outputs))
-    # Together, since dependent columns are filled with directions that must stay off both groups.
-    Q = orthonormal_basis(jnp.concatenate(columns, axis=1), jnp.concatenate(live), householder=householder)
-    ahead = jnp.repeat(order < data.block_rows - fewer, data.inputs)
-    ahead = jnp.concatenate([ahead, jnp.zeros(Q.shape[1] - len(ahead), bool)])
-    return jnp.where(ahead, Q, 0.0), jnp.where(ahead, 0.0, Q), Yf
+
+    ahead: Bool[Array, " rows"]
+    behind: Bool[Array, " rows"]
+    past_outputs: Float[Array, "rows columns"] | None
+
+    def off_future(self, X: Float[Array, "rows columns"]) -> Float[Array, "rows columns"]:
+        """X off the future inputs."""
+        return jnp.where(self.ahead[:, None], 0.0, X)
+
+    def on_past(self, X: Float[Array, "rows columns"]) -> Float[Array, "rows columns"]:
+        """X on the past, off the future inputs."""
+        own = jnp.where(self.behind[:, None], X, 0.0)
+        return own if self.past_outputs is None else own + self.past_outputs @ (self.past_outputs.T @ X)
+
+    def on_all(self, X: Float[Array, "rows columns"]) -> Float[Array, "rows columns"]:
+        """X on future inputs and past together."""
+        return self.on_past(X) + jnp.where(self.ahead[:, None], X, 0.0)
+
+    def coefficients(self, X: Float[Array, "rows columns"]) -> Float[Array, "columns directions"]:
+        """Coefficients of X along orthonormal directions of the past."""
+        own = jnp.where(self.behind[:, None], X, 0.0).T
+        if self.past_outputs is None:
+            return own
+        return jnp.concatenate([own, X.T @ self.past_outputs], axis=1)
+
+
+def _spans(data: Data, weight: AbstractWeight, fewer: int, past: Array, householder: bool) -> Spans:
+    """Future and past with the future `fewer` orders shorter."""
+    inputs = data.of_inputs(2 * data.block_rows)
+    ahead = data.of_inputs(data.block_rows - fewer)
+    if weight.input_instruments_only:
+        return Spans(ahead, inputs & ~ahead, None)
+    columns = jnp.where(inputs[:, None], 0.0, past.reshape(past.shape[0], -1))
+    live = jnp.repeat(jnp.arange(past.shape[1]) < data.block_rows + fewer, data.outputs)
+    # No row of the inputs' is touched, also where dependent columns are filled with other directions.
+    basis = orthonormal_basis(columns, live, householder=householder)
+    return Spans(ahead, inputs & ~ahead, jnp.where(inputs[:, None], 0.0, basis))
 
 
 def left_inverse(X: Float[Array, "rows states"]) -> Float[Array, "states rows"]:
@@ -188,14 +212,15 @@ def project(data: Data, weight: AbstractWeight, order: int, *, householder: bool
 
     **Reference:** Van Overschee & De Moor, algorithm 4.8, steps 1 to 4.
     """
-    Qu, Qp, Yf = _spans(data, weight, 0, data.past, householder)
-    Qu_shift, Qp_shift, Yf_shift = _spans(data, weight, 1, data.enlarged_past, householder)
-    coefficients = Yf.T @ Qp
-    weighted = weight.apply(data, _off(Qu, Yf), coefficients)
-    basis = dominant_basis(weighted, order)
+    _, Yf = data.future()
+    _, Yf_shift = data.future(1)
+    spans = _spans(data, weight, 0, data.past, householder)
+    spans_shift = _spans(data, weight, 1, data.enlarged_past, householder)
+    coefficients = spans.coefficients(Yf)
+    weighted = weight.apply(data, spans.off_future(Yf), coefficients)
+    basis, singular_values = dominant_subspace(weighted, order)
     observability = coefficients @ basis
     observability = observability / jnp.linalg.norm(observability, axis=0)
-    singular_values = jnp.linalg.svd(weighted, compute_uv=False)
 
     outputs = data.outputs
     shift = jnp.where(data.live(1)[:, None], lambda_shift(data.a, data.padded)[:, : data.padded], 0.0)
@@ -204,14 +229,12 @@ def project(data: Data, weight: AbstractWeight, order: int, *, householder: bool
 
     inverse = left_inverse(observability)
     inverse_shifted = left_inverse(shifted)
-    regressor = Qp @ (Qp.T @ (Yf @ inverse.T))
-    projected_shift = Qu_shift @ (Qu_shift.T @ Yf_shift) + Qp_shift @ (Qp_shift.T @ Yf_shift)
     last_power = lambda_powers(data.a, data.padded)[jnp.asarray(data.block_rows, int) - 1]
     current = jnp.einsum("j,qjc->qc", last_power, data.family[:, : data.padded, data.inputs :])
     return Projections(
         observability,
-        regressor,
-        _off(Qu, projected_shift @ inverse_shifted.T),
-        _off(Qu, current),
+        spans.on_past(Yf @ inverse.T),
+        spans.off_future(spans_shift.on_all(Yf_shift @ inverse_shifted.T)),
+        spans.off_future(current),
         singular_values,
     )

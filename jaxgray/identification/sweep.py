@@ -1,6 +1,8 @@
 """Time constant τ × block rows i: every choice from one factor per τ, scored by free-run simulation."""
 
+import concurrent.futures
 import functools
+import os
 
 import equinox as eqx
 import jax
@@ -64,13 +66,20 @@ def record_factors(
 
     **Returns:** the factors, and whether Householder QR was used.
     """
-    parts = [factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=False) for s in signals]
+    inputs = signals[0].u.shape[1]
+
+    def parts_by(householder: bool):
+        options = {"inputs": inputs, "block_rows": block_rows, "householder": householder}
+        return [factors(poles, s.stacked, s.inside, **options) for s in signals]
+
+    parts = parts_by(householder=False)
     usable = np.all([np.asarray(pivot > RANK_TOLERANCE) for _, pivot in parts], axis=0)
     householder = bool(np.sum(usable) <= len(usable) / 2)
     if householder:
-        parts = [factors(poles, s.stacked, s.inside, block_rows=block_rows, householder=True) for s in signals]
+        parts = parts_by(householder=True)
         usable[:] = True
-    grid = jax.vmap(combine)(jnp.stack([factor for factor, _ in parts], axis=1))
+    stacked = jnp.stack([factor for factor, _ in parts], axis=1)
+    grid = jax.vmap(lambda several: combine(several, inputs, block_rows))(stacked)
     return jnp.where(jnp.asarray(usable)[:, None, None], grid, jnp.nan), householder
 
 
@@ -146,10 +155,16 @@ def candidates(
 ) -> Candidate:
     """`candidate` over the grid τ × i; the leading axes of the result are the grid's.
 
-    One compiled function serves every τ. The loop over τ stays on the host: inside a traced loop the CPU
-    backend gains nothing from it and can run out of threads (see `numerics.runtime`).
+    One compiled function serves every τ. The loop over τ stays on the host, one thread per core: inside a traced
+    loop the CPU backend gains nothing from it and can run out of threads (see `numerics.runtime`).
     """
-    found = [_over_block_rows(factor, a, block_rows, signals, **static) for factor, a in zip(factor_grid, poles)]
+
+    def one(k):
+        return jax.block_until_ready(_over_block_rows(factor_grid[k], poles[k], block_rows, signals, **static))
+
+    first = [one(0)]  # Compiled once, not by every thread.
+    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as threads:
+        found = first + list(threads.map(one, range(1, len(poles))))
     return jax.tree_util.tree_map(lambda *parts: jnp.stack(parts), *found)
 
 

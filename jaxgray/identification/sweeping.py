@@ -15,11 +15,12 @@ from ..records import Record, check_compatible
 from .filter_bank import pole
 from .options import drive_of, pick
 from .physical import Scaling
+from .physical_grid import physical_grid
 from .prediction import Setting
 from .preparation import Signals, prepare, scaling_of
 from .projection import WEIGHTS
 from .realization import MAPS
-from .start import filled, model_run, physical_model, total_deviation
+from .start import filled, model_run
 from .sweep import candidates, default_time_constants, record_factors, usable_block_rows
 
 SPACINGS = ("logarithmic", "linear")
@@ -178,28 +179,27 @@ def sweep(
             hold=setting.hold,
             householder=householder,
         )
-        return _cells(found, (len(taus), len(rows)), setting, signals, progress)
+        progress.stage("simulating")
+        return _cells(found, setting, signals)
 
-    models, deviation, failed = table(complete)
+    matrices, deviation, failed = table(complete)
     if complete is not signals and np.isfinite(deviation).any():
         # Gaps filled by the best model's own run leave less of the interpolation in the second table.
-        best = models[np.unravel_index(np.nanargmin(np.sum(np.log(deviation), axis=2)), failed.shape)]
+        k = np.unravel_index(np.nanargmin(np.sum(np.log(deviation), axis=2)), failed.shape)
+        best = tuple(jnp.asarray(X[k]) for X in matrices)
         runs = [model_run(best, setting, s)[0] for s in complete]
-        models, deviation, failed = table(filled(records, scaling, runs))
+        matrices, deviation, failed = table(filled(records, scaling, runs))
     if not np.isfinite(deviation).any():
         raise ComputationError(RESULTS.unstable_start, stage="sweep")
 
-    progress.stage("simulating")
-    apart = np.full_like(deviation, np.nan)
-    for k, matrices in models.items():
-        if unseen and np.all(np.isfinite(deviation[k])):
-            apart[k] = total_deviation(matrices, setting, unseen)
+    stable = np.isfinite(deviation).all(axis=2)
+    apart = _deviations(matrices, stable, setting, unseen) if unseen else None
     return Sweep(
         taus,
         np.array(rows),
         _fit_percent(deviation, records, scaling),
         _fit_percent(apart, held_out, scaling) if unseen else None,
-        *_physical(models, deviation, scaling),
+        *_physical(matrices, deviation, scaling),
         int(np.sum(~np.isfinite(deviation).all(axis=2) & ~failed)),
         int(np.sum(failed)),
         records[0].output_names,
@@ -234,45 +234,42 @@ def _block_rows(given, record: Record) -> tuple[int, ...]:
 
 
 def _cells(
-    found, shape: tuple[int, int], setting: Setting, signals: list[Signals], progress: AbstractProgress
-) -> tuple[dict, Float[np.ndarray, "time_constants choices outputs"], Bool[np.ndarray, "time_constants choices"]]:
+    found, setting: Setting, signals: list[Signals]
+) -> tuple[tuple, Float[np.ndarray, "time_constants choices outputs"], Bool[np.ndarray, "time_constants choices"]]:
     """Physical matrices of every choice, the free-run deviation, and where there is no model at all."""
-    models: dict = {}
-    longest = max(s.samples for s in signals)
-    deviation = np.full((*shape, len(setting.measured)), np.nan)
-    failed = np.zeros(shape, bool)
-    for count, k in enumerate(np.ndindex(shape)):
-        progress.stage("simulating", fraction=count / failed.size)
-        choice = jax.tree_util.tree_map(lambda leaf, k=k: leaf[k], found)
-        finite = all(
-            bool(jnp.all(jnp.isfinite(part)))
-            for part in (choice.realization.A21, choice.realization.A22, choice.fit.factor, choice.fit.target)
-        )
-        if not finite:
-            failed[k] = True
-            continue
-        if np.max(np.linalg.eigvals(np.asarray(choice.realization.A)).real) * longest > GROWTH:
-            continue
-        try:
-            models[k] = physical_model(choice.realization, choice.fit, setting, None)
-        except ComputationError:
-            failed[k] = True
-            continue
-        reached = total_deviation(models[k], setting, signals)
-        if np.all(np.isfinite(reached)):
-            deviation[k] = reached
-    return models, deviation, failed
+    matrices, usable, _ = physical_grid(found, setting)
+    system = np.asarray(jax.vmap(jax.vmap(lambda realization: realization.A))(found.realization))
+    rates = np.linalg.eigvals(np.where(usable[:, :, None, None], system, 0.0)).real.max(axis=2)
+    tame = usable & (rates * max(s.samples for s in signals) <= GROWTH)
+    return matrices, _deviations(matrices, tame, setting, signals), ~usable
 
 
-def _physical(models: dict, deviation: np.ndarray, scaling: Scaling) -> list[np.ndarray]:
+@jax.jit
+def _runs(matrices, setting: Setting, signals: Signals):
+    """Mean square free-run residual per output of every model, one after the other."""
+    return jax.lax.map(lambda one: model_run(one, setting, signals)[1], matrices)
+
+
+def _deviations(
+    matrices: tuple, judged: Bool[np.ndarray, "time_constants choices"], setting: Setting, signals: list[Signals]
+) -> Float[np.ndarray, "time_constants choices outputs"]:
+    """Mean square free-run residual over all records where `judged`, not a number elsewhere or where not finite."""
+    # The others are run too, as any model that is fine: one size, one compilation.
+    first = tuple(np.argwhere(judged)[0]) if judged.any() else (0, 0)
+    stacked = tuple(
+        jnp.asarray(np.where(judged[:, :, None, None], X, X[first]).reshape(-1, *X.shape[2:])) for X in matrices
+    )
+    weights = [np.asarray(jnp.sum(s.kept, axis=0)) for s in signals]
+    total = np.sum([np.asarray(_runs(stacked, setting, s)) * w for s, w in zip(signals, weights)], axis=0)
+    table = (total / np.sum(weights, axis=0)).reshape(*judged.shape, -1)
+    good = judged & np.isfinite(table).all(axis=2)
+    return np.where(good[:, :, None], table, np.nan)
+
+
+def _physical(matrices: tuple, deviation: np.ndarray, scaling: Scaling) -> list[np.ndarray]:
     """Mass, damping and stiffness of every stable choice in the record's units."""
-    dofs = deviation.shape[2]
-    tables = [np.full((*deviation.shape[:2], dofs, dofs), np.nan) for _ in range(3)]
-    for k, matrices in models.items():
-        if np.all(np.isfinite(deviation[k])):
-            for table, matrix in zip(tables, scaling.matrices_out(*matrices)):
-                table[k] = matrix
-    return tables
+    stable = np.isfinite(deviation).all(axis=2)[:, :, None, None]
+    return [np.where(stable, np.asarray(X), np.nan) for X in scaling.matrices_out(*matrices)]
 
 
 def _fit_percent(deviation: np.ndarray, records: list[Record], scaling: Scaling) -> np.ndarray:

@@ -17,6 +17,9 @@ from jaxtyping import Array, Float
 BLOCK = 32
 """Samples per block: long enough that the scan is short, short enough that T stays in cache."""
 
+SHORT_BLOCK = 16
+"""The same where derivatives are taken too: the products with T, most of the work, are half as large."""
+
 _SECOND_LEVEL_STATES = 8
 _UNROLLED_BLOCKS = 48
 

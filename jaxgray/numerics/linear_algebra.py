@@ -66,7 +66,7 @@ def duplication(n: int) -> np.ndarray:
 
 
 def orthonormal_basis(
-    X: Float[Array, "rows columns"], kept: Bool[Array, " columns"], *, householder: bool
+    X: Float[Array, "rows columns"], kept: Bool[Array, " columns"], *, householder: bool, passes: int = 2
 ) -> Float[Array, "rows columns"]:
     """Orthonormal basis of the kept columns; zero where a column is not kept.
 
@@ -75,7 +75,8 @@ def orthonormal_basis(
     dependent. A column that is not kept is given a dimension of its own, so that padding never touches
     the rest.
 
-    **Arguments:** `X`: columns; `kept`: which of them count; `householder`: take the slower way.
+    **Arguments:** `X`: columns; `kept`: which of them count; `householder`: take the slower way;
+    `passes`: of Cholesky, default 2; one is orthonormal only to the square of the condition number.
 
     **Returns:** a matrix of the shape of `X`.
     """
@@ -83,29 +84,32 @@ def orthonormal_basis(
     if householder:
         extended = jnp.concatenate([X, jnp.diag(jnp.where(kept, 0.0, 1.0))], axis=0)
         return jnp.where(kept, jnp.linalg.qr(extended)[0][: X.shape[0]], 0.0)
-    for _ in range(2):
+    for _ in range(passes):
         gram = X.T @ X + jnp.diag(jnp.where(kept, 0.0, 1.0))
         X = jsl.solve_triangular(jnp.linalg.cholesky(gram), X.T, lower=True).T
     return X
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
-def dominant_basis(X: Float[Array, "rows columns"], rank: int) -> Float[Array, "columns rank"]:
-    """Orthonormal basis of the dominant right singular subspace of `X`.
+def dominant_subspace(
+    X: Float[Array, "rows columns"], rank: int
+) -> tuple[Float[Array, "columns rank"], Float[Array, " values"]]:
+    """Orthonormal basis of the dominant right singular subspace of `X`, and all singular values.
 
-    Its derivative is that of the subspace alone: the part that would turn the basis within the subspace
-    is left out, so that it stays finite where kept singular values meet. Use it only for what does not
+    The derivative of the basis is that of the subspace alone: the part that would turn the basis within the
+    subspace is left out, so that it stays finite where kept singular values meet. Use it only for what does not
     depend on the choice of basis.
 
     **Arguments:** `X`: any matrix; `rank`: dimension of the subspace.
 
-    **Returns:** one basis vector a column.
+    **Returns:** one basis vector a column, and the singular values, descending.
     """
-    return jnp.linalg.svd(X, full_matrices=False)[2][:rank].T
+    _, s, Vt = jnp.linalg.svd(X, full_matrices=False)
+    return Vt[:rank].T, s
 
 
-@dominant_basis.defjvp
-def _dominant_basis_jvp(rank, primals, tangents):
+@dominant_subspace.defjvp
+def _dominant_subspace_jvp(rank, primals, tangents):
     (X,), (dX,) = primals, tangents
     U, s, Vt = jnp.linalg.svd(X, full_matrices=False)
     V1 = Vt[:rank].T
@@ -119,7 +123,7 @@ def _dominant_basis_jvp(rank, primals, tangents):
     row_space = Vt.T
     outside = dX.T @ U[:, :rank]
     outside = (outside - row_space @ (row_space.T @ outside)) / jnp.where(s[:rank] > 0, s[:rank], jnp.inf)
-    return V1, dV + outside
+    return (V1, s), (dV + outside, jnp.sum(U * (dX @ Vt.T), axis=0))
 
 
 @jax.custom_jvp

@@ -212,6 +212,23 @@ def _polished(problem: PositiveLeastSquares, z: np.ndarray, steps: int = 8) -> n
     return z
 
 
+class FreeSolver(AbstractPositiveSolver):
+    """The minimiser without the cone; the answer only where that lies inside, which is for the caller to see."""
+
+    def __call__(self, problem: PositiveLeastSquares) -> Float[Array, " variables"]:
+        return problem.unconstrained()
+
+
+class NearestSolver(AbstractPositiveSolver):
+    """The minimiser without the cone, every block moved to the nearest matrix in it: closed form, traceable.
+
+    The optimum where that lies inside; elsewhere a start, not an answer.
+    """
+
+    def __call__(self, problem: PositiveLeastSquares) -> Float[Array, " variables"]:
+        return _project(problem.unconstrained(), problem)
+
+
 class ProjectedGradientSolver(AbstractPositiveSolver):
     """Accelerated projected gradient; traceable, with derivatives by the implicit function theorem.
 

@@ -1,0 +1,208 @@
+"""Prediction-error refinement of one record as one traced function, to be vmapped over many.
+
+Damped Gauss-Newton steps on the Cholesky factors of M, D, K, on the first state and on the offsets, judged by the
+likelihood with the noise covariance concentrated out, which every step renews. Each record has a damping and an end
+of its own. What Cholesky factors cannot tell, whether an end at the edge of the cone is the optimum, is not decided
+here: such records are marked.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.scipy.linalg as jsl
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+
+from ..numerics.lifting import SHORT_BLOCK, free_response, respond
+from ..numerics.linear_algebra import triangle_vector
+from .conic import DECREMENT
+from .prediction import Setting
+from .refine import FLOOR, LIFTS, pack, setting_dofs, unpack
+from .structure import Structure
+
+MAX_STEPS = 40
+FIRST_DAMPING = 1e-3
+MOST_DAMPING = 1e8
+LAGS = 25
+"""Lags over which the residual's whiteness is judged."""
+
+
+class One(eqx.Module):
+    """One record, scaled and padded, gaps filled.
+
+    `kept`: 1 for every output sample that was measured; `inside`: 1 for the samples of the record, 0 for padding.
+    """
+
+    u: Float[Array, "samples inputs"]
+    y: Float[Array, "samples outputs"]
+    kept: Float[Array, "samples outputs"]
+    inside: Float[Array, " samples"]
+
+
+class Refined(eqx.Module):
+    """Where the steps ended, in scaled coordinates.
+
+    `matrices`: M, D, K; `covariance` of their stacked upper triangles (by columns); `deviation`: mean square
+    residual per output; `portmanteau`: Ljung-Box statistic of every output's residual; `least_eigenvalue`:
+    smallest over the blocks, relative to each block's largest; `decrement`: what one more step would take off the
+    sum of squares, in units of the noise variance; `steps`; `settled`: whether that is nothing.
+    """
+
+    matrices: tuple[Float[Array, "dofs dofs"], Float[Array, "dofs dofs"], Float[Array, "dofs dofs"]]
+    covariance: Float[Array, "entries entries"]
+    deviation: Float[Array, " outputs"]
+    portmanteau: Float[Array, " outputs"]
+    least_eigenvalue: Float[Array, ""]
+    decrement: Float[Array, ""]
+    steps: Int[Array, ""]
+    settled: Bool[Array, ""]
+
+
+class _Point(eqx.Module):
+    """Parameters, minus twice the log-likelihood there, and the normal equations in units of the noise.
+
+    `deviation`: mean square residual per output.
+    """
+
+    place: Float[Array, " parameters"]
+    cost: Float[Array, ""]
+    deviation: Float[Array, " outputs"]
+    gradient: Float[Array, " parameters"]
+    information: Float[Array, "parameters parameters"]
+
+
+class _State(eqx.Module):
+    point: _Point
+    damping: Float[Array, ""]
+    decrement: Float[Array, ""]
+    steps: Int[Array, ""]
+    done: Bool[Array, ""]
+
+
+def _step(point: _Point, damping: Array) -> tuple[Array, Array]:
+    """The damped step and the decrement that it promises."""
+    scale = jnp.sqrt(jnp.maximum(jnp.diag(point.information), 1e-300))
+    H = point.information / scale[:, None] / scale[None, :]
+    H = H + (damping + 1e-13) * jnp.eye(len(scale))
+    factor = jsl.cho_factor(H, lower=True)
+    step = -jsl.cho_solve(factor, point.gradient / scale)
+    return step / scale, -step @ (point.gradient / scale)
+
+
+def refine_one(
+    start: tuple[Array, Array, Array], one: One, setting: Setting, structure: Structure, *, max_steps: int = MAX_STEPS
+) -> Refined:
+    """Refine M, D, K of one record by prediction error, maximum likelihood over the outputs.
+
+    **Arguments:** `start`: scaled M, D, K; `one`: the record; `setting`; `structure`: what is free; `max_steps`.
+
+    **Returns:** a `Refined`; not finite where the start is of no use.
+
+    **Reference:** Ljung, *System Identification*, §7.4 (determinant criterion) and §10.2.
+    """
+    dofs = setting_dofs(setting)
+    sizes = structure.sizes(dofs)
+    logarithmic = tuple(owner == "mass" for owner in structure.owners(dofs))
+    samples, outputs = one.y.shape
+    blocks = structure.blocks(*start, lift=LIFTS[0])
+    scales = [jnp.trace(block) / block.shape[0] for block in blocks]
+    first, by_vectors = ravel_pytree(pack(blocks, scales, logarithmic))
+    entries = len(first)
+    counts = jnp.maximum(jnp.sum(one.kept, axis=0), 1.0)
+    # Where samples of single outputs are missing, the outputs are weighed one by one.
+    together = jnp.all(one.kept == one.kept[:, :1])
+    offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
+
+    def matrices(vector):
+        return structure.matrices(unpack(by_vectors(vector), scales, logarithmic, sizes), dofs)
+
+    def simulated(vector, x0):
+        system = setting.system(*matrices(vector))
+        return respond(system.A, system.B, system.C, system.D, one.u, x0, block=SHORT_BLOCK), system
+
+    def sensitivities(place):
+        vector, x0, offset = jnp.split(place, [entries, entries + 2 * dofs])
+
+        def run(vector):
+            y, system = simulated(vector, x0)
+            return y, (y, system)
+
+        J, (y, system) = jax.jacfwd(run, has_aux=True)(vector)
+        free = free_response(system.A, system.C, samples)
+        e = (y + offset - one.y)[:, :, None]
+        return jnp.concatenate([J, free, offsets, e], axis=2) * one.kept[:, :, None]
+
+    def weighed(place, rows):
+        width = rows.shape[2]
+        flat = rows.reshape(samples, -1)
+        products = (flat.T @ flat).reshape(outputs, width, outputs, width)
+        covariance = products[:, -1, :, -1] / jnp.sqrt(counts[:, None] * counts[None, :])
+        covariance = jnp.where(together | jnp.eye(outputs, dtype=bool), covariance, 0.0)
+        lower = jnp.linalg.cholesky(covariance + FLOOR**2 * jnp.eye(outputs))
+        white = jsl.solve_triangular(lower, jnp.eye(outputs), lower=True)
+        table = jnp.einsum("op,opcd->cd", (white.T @ white), products.transpose(0, 2, 1, 3))
+        cost = jnp.sum(2 * counts * jnp.log(jnp.diag(lower)))
+        return _Point(place, cost, jnp.diag(covariance), table[:-1, -1], table[:-1, :-1])
+
+    def at(place):
+        return weighed(place, sensitivities(place))
+
+    def advance(state):
+        step, decrement = _step(state.point, state.damping)
+        trial = at(state.point.place + step)
+        better = jnp.isfinite(trial.cost) & (trial.cost <= state.point.cost + DECREMENT)
+        # Rounding is all that is left where the step itself promises next to nothing.
+        rest = ~better & (decrement < 100 * DECREMENT)
+        lost = ~jnp.isfinite(decrement) | (state.damping > MOST_DAMPING)
+        point = jax.tree_util.tree_map(lambda new, old: jnp.where(better, new, old), trial, state.point)
+        lower = jnp.where(state.damping > 1e-7, state.damping / jnp.where(state.steps > 0, 30, 1), 0.0)
+        damping = jnp.where(better, lower, jnp.maximum(10 * state.damping, 1e-4))
+        settled = better & (decrement < DECREMENT) & (state.damping < 1e-3)
+        done = (state.steps > 0) & (settled | rest | lost)
+        after = _State(point, damping, decrement, state.steps + 1, done)
+        return jax.tree_util.tree_map(lambda new, old: jnp.where(state.done, old, new), after, state)
+
+    # The first step is none: it evaluates the start, so that all of this is compiled once.
+    place = jnp.concatenate([first, jnp.zeros(2 * dofs + outputs)])
+    begin = _Point(place, jnp.asarray(jnp.inf), jnp.ones(outputs), 0 * place, jnp.eye(len(place)))
+    state = _State(
+        begin, jnp.asarray(FIRST_DAMPING), jnp.asarray(jnp.inf), jnp.asarray(0), ~jnp.all(jnp.isfinite(first))
+    )
+    state = jax.lax.while_loop(lambda s: ~s.done & (s.steps < max_steps), advance, state)
+    point = state.point
+    vector = point.place[:entries]
+
+    def stacked(vector):
+        return jnp.concatenate([triangle_vector(X) for X in matrices(vector)])
+
+    T = jax.jacfwd(stacked)(vector)
+    scale = jnp.sqrt(jnp.maximum(jnp.diag(point.information), 1e-300))
+    inverse = jnp.linalg.inv(point.information / scale[:, None] / scale[None, :] + 1e-14 * jnp.eye(len(scale)))
+    inverse = (inverse / scale[:, None] / scale[None, :])[:entries, :entries]
+    total = jnp.sum(one.kept)
+    _, x0, offset = jnp.split(point.place, [entries, entries + 2 * dofs])
+    e = (simulated(vector, x0)[0] + offset - one.y) * one.kept
+    found = unpack(by_vectors(vector), scales, logarithmic, sizes)
+    values = [jnp.linalg.eigvalsh(block) for block in found]
+    least = jnp.min(jnp.stack([value[0] / value[-1] for value in values if len(value) > 1] or [jnp.ones(())]))
+    small = [jnp.trace(block) for block, n in zip(found, sizes) if n == 1]
+    if small:
+        least = jnp.minimum(least, jnp.min(jnp.stack(small) / jnp.stack([s for s, n in zip(scales, sizes) if n == 1])))
+    return Refined(
+        matrices(vector),
+        T @ inverse @ T.T * total / (total - len(scale)),
+        point.deviation,
+        _portmanteau(e, one.kept, counts),
+        least,
+        state.decrement,
+        state.steps,
+        state.done & (state.decrement < 100 * DECREMENT) & jnp.isfinite(point.cost),
+    )
+
+
+def _portmanteau(e: Array, kept: Array, counts: Array) -> Float[Array, " outputs"]:
+    """n Σ r(lag)² over the first lags, per output; missing samples count as zero."""
+    centred = (e - jnp.sum(e, axis=0) / counts) * kept
+    power = jnp.abs(jnp.fft.rfft(centred, 2 * len(e), axis=0)) ** 2
+    correlation = jnp.fft.irfft(power, 2 * len(e), axis=0)[: LAGS + 1]
+    return counts * jnp.sum((correlation[1:] / jnp.maximum(correlation[0], 1e-300)) ** 2, axis=0)
