@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..mechanics.drives import Force
-from ..numerics.lifting import free_response, respond
 from ..numerics.linear_algebra import project_positive
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver
@@ -18,7 +17,7 @@ from ..records import Record
 from .filter_bank import pole
 from .input_matrix import InputFit, fit_to_record
 from .physical import Scaling, from_inverse_mass, input_matrix, jointly
-from .prediction import Setting
+from .prediction import Setting, best_run
 from .preparation import Signals, prepare
 from .projection import AbstractWeight
 from .realization import AbstractMap, Realization
@@ -58,21 +57,7 @@ def model_run(
     matrices: tuple[Array, Array, Array], setting: Setting, signals: Signals
 ) -> tuple[Float[Array, "samples outputs"], Float[Array, " outputs"]]:
     """Free run with the best initial state and offsets, and its mean square residual per output."""
-    system = setting.system(*matrices)
-    samples, outputs = signals.y.shape
-    free = free_response(system.A, system.C, samples)
-    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
-    offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
-    forced = respond(system.A, system.B, system.C, system.D, signals.u)
-    table = jnp.concatenate([free, offsets], axis=2)
-    kept = signals.kept[:, :, None]
-    rows = (table * kept).reshape(samples * outputs, -1)
-    gram = rows.T @ rows
-    target = rows.T @ ((signals.y - forced) * signals.kept).reshape(-1)
-    solution = jnp.linalg.solve(gram + 1e-11 * jnp.trace(gram) * jnp.eye(gram.shape[0]), target)
-    simulated = forced + table @ solution
-    deviation = jnp.sum(((signals.y - simulated) * signals.kept) ** 2, axis=0)
-    return simulated, deviation / jnp.maximum(jnp.sum(signals.kept, axis=0), 1.0)
+    return best_run(setting.system(*matrices), signals)
 
 
 def total_deviation(matrices, setting: Setting, signals: list[Signals]) -> np.ndarray:
