@@ -147,3 +147,59 @@ def unconstrained_fit(u, y, h, start):
 
     first = np.concatenate([[X[r, c] for X in start for r, c in pick] / scale, np.zeros(6)])
     return matrices(scipy.optimize.least_squares(residual, first, max_nfev=30).x[:9])
+
+
+FORMS = (
+    (1, "zero", ("displacement",)),
+    (1, "linear", ("acceleration",)),
+    (2, "zero", ("displacement", "displacement")),
+    (2, "zero", ("velocity", "displacement")),
+    (2, "linear", ("displacement", "displacement")),
+    (2, "linear", ("acceleration", "acceleration")),
+    (3, "zero", ("displacement", "displacement", "displacement")),
+    (3, "linear", ("acceleration", "displacement", "velocity")),
+)
+
+
+def well_posed_chunk(form, seeds):
+    """Per record the failure, or None, and the largest error of an entry in standard errors."""
+    n, hold, measured = form
+    out = []
+    for seed in seeds:
+        rng = np.random.default_rng([seed, n])
+        M, D, K = data.random_system(rng, n)
+        # Units and time scale of its own, a sampling rate of 25 to 150 samples a radian of the mean motion.
+        size, h = 10.0 ** rng.uniform(-4, 4), 10.0 ** rng.uniform(-2.6, -1.9)
+        u = data.random_steps(rng, 4000, n, h, (0.1, 1.0)) if hold == "zero" else data.smooth_noise(rng, 4000, n, 2 * h)
+        x0 = rng.standard_normal(2 * n) * np.repeat([0.003, 0.03], n)
+        y = data.simulate(M, D, K, u, h, hold=hold, measured=measured, x0=x0)
+        y = y + rng.uniform(-1, 1, n) * y.std(axis=0)
+        y = y + 10 ** rng.uniform(-3, -1.5) * y.std(axis=0) * rng.standard_normal(y.shape)
+        try:
+            found = jaxgray.identify(jaxgray.Record(u * size, y, h, hold=hold, measured=measured))
+        except (jaxgray.ComputationError, ValueError) as error:
+            out.append((str(error), np.inf))
+            continue
+        truth = [X * size for X in (M, D, K)]
+        deviations = [
+            np.max(np.abs(X - Y) / np.maximum(found.standard_errors[name], 1e-300))
+            for X, Y, name in zip((found.mass, found.damping, found.stiffness), truth, found.standard_errors)
+        ]
+        out.append((None, max(deviations)))
+    return out
+
+
+def row_well_posed(seeds):
+    """Random well-posed records of eight forms: none may fail; ten a seed."""
+    count = 10 * len(seeds) // len(FORMS)
+    first = 10 * seeds.start
+    parts = in_children(well_posed_chunk, [(form, range(first, first + count)) for form in FORMS])
+    failures = [(form, one[0]) for form, part in zip(FORMS, parts) for one in part if one[0] is not None]
+    deviations = np.array([one[1] for part in parts for one in part])
+    total = len(deviations)
+    print(f"{total} random well-posed records: {len(failures)} failures (bar 0)", flush=True)
+    for form, message in failures:
+        print("   ", *form, message, flush=True)
+    quantiles = np.quantile(deviations, [0.5, 0.9, 0.99, 1.0]).round(2).tolist()
+    print(f"    largest error of an entry in standard errors, quantiles 50, 90, 99, 100 %: {quantiles}", flush=True)
+    return {"failures": len(failures), "records": total, "deviations": deviations}
