@@ -170,7 +170,11 @@ def well_posed_chunk(form, seeds):
         M, D, K = data.random_system(rng, n)
         # Units and time scale of its own, a sampling rate of 25 to 150 samples a radian of the mean motion.
         size, h = 10.0 ** rng.uniform(-4, 4), 10.0 ** rng.uniform(-2.6, -1.9)
-        u = data.random_steps(rng, 4000, n, h, (0.1, 1.0)) if hold == "zero" else data.smooth_noise(rng, 4000, n, 2 * h)
+        u = (
+            data.random_steps(rng, 4000, n, h, (0.1, 1.0))
+            if hold == "zero"
+            else data.smooth_noise(rng, 4000, n, 10 * h)
+        )
         x0 = rng.standard_normal(2 * n) * np.repeat([0.003, 0.03], n)
         y = data.simulate(M, D, K, u, h, hold=hold, measured=measured, x0=x0)
         y = y + rng.uniform(-1, 1, n) * y.std(axis=0)
