@@ -11,7 +11,7 @@ the input map are what the residues are freed of.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy.signal import lfilter
 
 LEAST = 1e-14
@@ -88,7 +88,8 @@ class RivalFit:
 
     `poles`: ln c0, ln c1 of s² + c1 s + c0 per mode, time in samples; `residual`, whitened; `cost`: its sum of
     squares; `parameters`: how many were free; `tables` and `bases`: features of every output and what makes them
-    orthonormal; `motions`: what every mode contributes.
+    orthonormal; `motions`: what every mode contributes; `solutions`: coefficients of the features; `sizes`: what
+    these were divided by.
     """
 
     poles: Float[np.ndarray, "modes 2"]
@@ -98,11 +99,25 @@ class RivalFit:
     tables: list[Float[np.ndarray, "features samples"]]
     bases: list[Float[np.ndarray, "rank features"]]
     motions: Float[np.ndarray, "outputs modes samples"]
+    solutions: list[Float[np.ndarray, " features"]]
+    sizes: list[Float[np.ndarray, " features"]]
 
     def off(self, k: int, rows: Float[np.ndarray, "rows samples"]) -> tuple[np.ndarray, np.ndarray]:
         """Gram matrix of rows off the features of output k, and their products with the residual."""
         across = self.bases[k] @ (self.tables[k] @ rows.T)
         return rows @ rows.T - across.T @ across, rows @ self.residual[k]
+
+    def response(self, mode: int, omega: float, data: Whitened) -> Complex[np.ndarray, "outputs inputs"]:
+        """Frequency response of one mode at `omega` [rad/sample]."""
+        z = np.exp(1j * omega)
+        a1, a2 = sections(self.poles[mode : mode + 1])[0]
+        count = len(data.drives[0])
+        rows = []
+        for solution, sizes in zip(self.solutions, self.sizes):
+            own = slice(2 * mode * count, 2 * (mode + 1) * count)
+            first, difference = (solution[own] / sizes[own]).reshape(2, count)[:, :-1]
+            rows.append((first / z + difference * (1 / z - 1 / z**2)) / (1 - a1 / z - a2 / z**2))
+        return np.array(rows)
 
 
 def poles_of(A: Float[np.ndarray, "states states"]) -> Float[np.ndarray, "modes 2"]:
@@ -129,8 +144,8 @@ def _late(x: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros_like(x[..., :1]), x[..., :-1]], axis=-1)
 
 
-def _table(poles, data: Whitened, k: int) -> np.ndarray:
-    """Features of one output, unit norm: of every mode its motions, then the offset, then inputs that act at once."""
+def _table(poles, data: Whitened, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Features of one output and what they were divided by: motions of every mode, offset, inputs that act at once."""
     drives = data.drives[k]
     rows = []
     for a1, a2 in sections(poles):
@@ -144,22 +159,23 @@ def _table(poles, data: Whitened, k: int) -> np.ndarray:
     if data.direct:
         rows.append(drives[:-1])
     table = np.concatenate(rows) * data.kept[k]
-    size = np.linalg.norm(table, axis=1, keepdims=True)
-    return table / np.where(size > 0, size, 1.0)
+    size = np.linalg.norm(table, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    return table / size[:, None], size
 
 
 def _at(poles, data: Whitened) -> RivalFit:
     """Residues by least squares at given poles."""
     modes = len(poles)
-    tables, bases = [], []
+    tables, bases, solutions, sizes = [], [], [], []
     residual = np.empty_like(data.y)
     motions = np.zeros((len(data.y), modes, data.y.shape[1]))
     count = poles.size
     for k, target in enumerate(data.y):
         if k and data.alike:
-            table, basis = tables[0], bases[0]
+            table, basis, size = tables[0], bases[0], sizes[0]
         else:
-            table = _table(poles, data, k)
+            table, size = _table(poles, data, k)
             values, vectors = np.linalg.eigh(table @ table.T)
             good = values > RANK * values[-1]
             basis = (vectors[:, good] / np.sqrt(values[good])).T
@@ -174,8 +190,15 @@ def _at(poles, data: Whitened) -> RivalFit:
             motions[k, j] = solution[j * width : (j + 1) * width] @ table[j * width : (j + 1) * width]
         tables.append(table)
         bases.append(basis)
+        solutions.append(solution)
+        sizes.append(size)
         count += len(basis)
-    return RivalFit(poles, residual, float(np.sum(residual**2)), count, tables, bases, motions)
+    return RivalFit(poles, residual, float(np.sum(residual**2)), count, tables, bases, motions, solutions, sizes)
+
+
+def no_modes(data: Whitened) -> RivalFit:
+    """What offsets alone leave, to add modes to."""
+    return _at(np.zeros((0, 2)), data)
 
 
 def _pole_equations(fit: RivalFit, data: Whitened) -> tuple[np.ndarray, np.ndarray]:
