@@ -26,6 +26,20 @@ def row_paper(seeds):
     return result
 
 
+def row_paper_blocks(seeds):
+    """The exact map at the paper's τ and i, three blocks of seeds: how much the medians themselves scatter."""
+    result = []
+    for block in range(3):
+        errors = []
+        for seed in range(seeds.start + block * len(seeds), seeds.start + (block + 1) * len(seeds)):
+            u, y, _ = data.reference_record(seed)
+            errors.append(identified(jaxgray.Record(u, y, H), refine=False, **PAPER)[1])
+        result.append(errors)
+        show(f"block {block + 1}: median (bars 0.03, 0.125, 0.015)", np.median(errors, axis=0))
+    show("all blocks: median", np.median(np.concatenate(result), axis=0))
+    return {"errors": result}
+
+
 def row_weights(seeds):
     result = {}
     for weight in ("moesp", "n4sid", "cva", "past-inputs"):

@@ -38,8 +38,8 @@ class Start:
     """A starting model in scaled coordinates.
 
     `matrices`: M, D, K; `deviation`: mean square free-run residual per output; `method`: "subspace",
-    "regression" or "modal"; `time_constant` [s], None for modal; `block_rows`; `singular_values` of the projection; `table`: score of every
-    (τ, i) tried; `grid`: those τ [s] and i.
+    "regression" or "modal"; `time_constant` [s], None for modal; `block_rows`; `singular_values` of the projection;
+    `table`: score of every (τ, i) tried; `grid`: those τ [s] and i.
     """
 
     matrices: tuple[Array, Array, Array]
