@@ -241,7 +241,9 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
             "settled; try another time constant, or fix entries that you know."
         )
     result += [f"Parameter {name} does not move any output; fix it or excite it." for name in spread.unmoved]
-    result += [f"Hardly determined by this record: {text}." for text in spread.weak_directions]
+    for text in spread.weak_directions:
+        remedy = "Excite nearer to the natural frequencies" if "mass" in text else "Excite it more"
+        result.append(f"Hardly determined by this record: {text}. {remedy}, or fix entries that you know.")
     result += [f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge]
     errors = spread.standard_errors()["mass"]
     for k, name in enumerate(model.output_names):
