@@ -12,11 +12,11 @@ import pathlib
 import time
 
 import numpy as np
-from accuracy import campaigns, exact, reference, systems
+from accuracy import campaigns, exact, realisations, reference, systems
 
 ROWS = {
     name[4:]: function
-    for module in (exact, reference, systems, campaigns)
+    for module in (exact, reference, realisations, systems, campaigns)
     for name, function in vars(module).items()
     if name.startswith("row_")
 }

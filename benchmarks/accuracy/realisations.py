@@ -4,7 +4,7 @@ import numpy as np
 
 import jaxgray
 
-from .common import H, TRUTH, bound, data, show
+from .common import TRUTH, H, bound, data, show
 
 
 def row_realisations(seeds):
