@@ -17,7 +17,7 @@ from ..numerics.runtime import ready
 from ..records import Record, check_compatible
 from .compression import padded_samples
 from .filter_bank import pole
-from .identify import POOR, identify
+from .identify import identify
 from .many_result import Identifications
 from .many_start import start_one
 from .many_steps import LAGS, One, Refined, refine_one
@@ -27,7 +27,7 @@ from .prediction import Setting
 from .preparation import prepare, scaling_of
 from .projection import WEIGHTS
 from .realization import ExactMap
-from .start import StartOptions, filled, subspace_starts
+from .start import POOR, StartOptions, filled, subspace_starts
 from .structure import Structure, structure_of
 from .sweep import default_time_constants, drives_every_coordinate, usable_block_rows
 

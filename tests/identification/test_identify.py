@@ -317,8 +317,8 @@ def test_quasi_static_record_says_that_inertia_is_not_visible():
     rng = np.random.default_rng(0)
     u = np.cumsum(data.smooth_noise(rng, SAMPLES, 2, 0.002), axis=0)
     u = u / u.std(axis=0)
-    y = data.simulate(*TRUTH, u, H, hold="linear")
-    record = Record(u, y + 1e-2 * y.std(axis=0) * rng.standard_normal(y.shape), H, hold="linear")
+    y = data.simulate(*TRUTH, u, H)
+    record = Record(u, y + 1e-2 * y.std(axis=0) * rng.standard_normal(y.shape), H)
     try:
         found = identify(record)
     except ComputationError as error:
