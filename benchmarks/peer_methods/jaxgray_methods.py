@@ -18,7 +18,7 @@ from jaxgray.identification.preparation import prepare, scaling_of  # noqa: E402
 from jaxgray.identification.projection import MOESP  # noqa: E402
 from jaxgray.identification.realization import ExactMap  # noqa: E402
 from jaxgray.identification.refine import refine  # noqa: E402
-from jaxgray.identification.start import subspace_start  # noqa: E402
+from jaxgray.identification.start import StartOptions, subspace_starts  # noqa: E402
 from jaxgray.numerics.runtime import ready  # noqa: E402
 
 warnings.simplefilter("ignore", jaxgray.RecordWarning)
@@ -37,16 +37,8 @@ def _prepared(u, y, h):
 
 def _start(u, y, h, source):
     signals, scaling, setting = _prepared(u, y, h)
-    start = subspace_start(
-        [signals],
-        setting,
-        np.array([TIME_CONSTANT]),
-        (BLOCK_ROWS,),
-        h,
-        weight=MOESP(),
-        map=ExactMap(),
-        input_matrix_from=source,
-    )
+    options = StartOptions(np.array([TIME_CONSTANT]), (BLOCK_ROWS,), MOESP(), ExactMap(), source, None)
+    start = subspace_starts([signals], setting, h, options)[0]
     return scaling.matrices_out(*start.matrices), f"τ = {TIME_CONSTANT} s, i = {BLOCK_ROWS}, input matrix: {source}"
 
 

@@ -30,6 +30,7 @@ from .competitor import FlexibleForce
 from .experiment import next_experiment
 from .growth import Growth, grow, recount, residual_rms
 from .judgement import FreeRun, gain_of, overall
+from .other_start import from_other_modes
 from .problem import Data
 from .ranking import gate_of, rejected_of
 from .record_findings import noise_findings, record_findings
@@ -134,6 +135,8 @@ def _of_clean_records(
     )
     errors = () if model is None else MODEL_ERRORS
     growth = grow(bench, baseline.start, max_effects, errors=errors, max_errors=len(baseline.start.entries))
+    if identification is not None:
+        from_other_modes(bench, growth, identification, records)
     progress.stage("summing up")
     chain = growth.screening.chain
     noise = noise_findings(records[0], growth.stage.e, chain.ratio, chain.worth)

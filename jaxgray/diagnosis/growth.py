@@ -105,9 +105,9 @@ def grow(
 
     **Returns:** a `Growth`.
     """
-    first = _stage(bench, start)
+    first = stage_of_candidate(bench, start)
     growth = Growth(first, first)
-    growth.baseline_runs = [_held_out_run(bench, start, d) for d in bench.validation]
+    growth.baseline_runs = [held_out_run(bench, start, d) for d in bench.validation]
     growth.runs = growth.baseline_runs
     if errors:
         _extend(dataclasses.replace(bench, catalogue=errors), growth, max_errors, errors)
@@ -143,7 +143,7 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
         growth.unexplained = False
 
 
-def _stage(bench: Bench, candidate: Candidate) -> Stage:
+def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
     stage = stage_of(bench.simulator, candidate, bench.data[0])
     entries = len(candidate.entries)
     kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - entries, bool)])
@@ -200,7 +200,7 @@ def _round(bench: Bench, growth: Growth, screening: Screening, closer: Screening
                 rivals.append(other)
         growth.accepted.append(Accepted(attempt, tuple(rivals[:3]), gain, runs))
         growth.fit, growth.runs = attempt.fit, runs
-        growth.stage = _stage(bench, attempt.fit.candidate)
+        growth.stage = stage_of_candidate(bench, attempt.fit.candidate)
         return True
     return False
 
@@ -278,7 +278,7 @@ def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
         )
         gain = gain_of(old, new, base, floor, names, held_out=False, rng=bench.rng)
         return (None if gain.ci99_lower > 0 else "no sure gain, even on the data of the fit"), gain, runs
-    runs = [_held_out_run(bench, attempt.fit.candidate, d) for d in bench.validation]
+    runs = [held_out_run(bench, attempt.fit.candidate, d) for d in bench.validation]
     if not all(np.all(np.isfinite(run.e)) for run in runs):
         return "its free run on held-out data overflows", None, None
     gain = gain_of(growth.runs, runs, growth.baseline_runs, floor, names, held_out=True, rng=bench.rng)
@@ -287,7 +287,7 @@ def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
     return None, gain, runs
 
 
-def _held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
+def held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
     """Free run on held-out data, without what belongs to the clock of the estimation record."""
     absent = ("periodic_disturbance",) if bench.separate else TIME_LOCAL
     terms = tuple(t for t in candidate.terms if t.effect.id not in absent)
@@ -315,8 +315,8 @@ def _backward(bench: Bench, growth: Growth) -> None:
             growth.accepted.pop(k)
             growth.rejected.append(Rejected(*gone.name, float(change), "needless once the others are in the model"))
             fit = with_states(bench.simulator, fit, bench.data)
-            growth.fit, growth.stage = fit, _stage(bench, fit.candidate)
-            growth.runs = [_held_out_run(bench, fit.candidate, d) for d in bench.validation]
+            growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
+            growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
             growth.accepted[-1] = dataclasses.replace(growth.accepted[-1], runs=growth.runs)
             return
 

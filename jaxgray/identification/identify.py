@@ -1,7 +1,5 @@
 """From records to a physical model: the pipeline, nothing else."""
 
-import warnings as python_warnings
-
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,12 +18,15 @@ from .realization import MAPS
 from .refine import refine as refine_model
 from .result import Identification, assess
 from .rigid import DRIFT, rigid_modes, windows, without_stiffness
-from .start import Start, filled, model_run, nearest_physical, regression_start, subspace_start
+from .start import Start, StartOptions, filled, model_run, nearest_physical, total_deviation
+from .starts import starts_of
 from .structure import structure_of
-from .sweep import default_time_constants, usable_block_rows
+from .sweep import default_time_constants, score, usable_block_rows
 
-POOR = 0.3
-"""Share of an output's power left by the subspace start above which the regression start is tried too."""
+MOST_STARTS = 3
+
+NEAR = 0.05
+"""Share of every output's power left by a refinement below which no other start is tried."""
 
 
 def identify(
@@ -114,30 +115,23 @@ def identify(
     complete = filled(records, scaling, None) if any(r.has_missing for r in records) else signals
     check_reach(complete, records[0].input_names, records[0].output_names)
 
-    def begin(data: list[Signals]) -> Start:
-        return _start(
-            data,
-            setting,
-            records,
-            scaling,
-            time_constants,
-            block_rows,
-            weight,
-            map,
-            input_matrix_from,
-            known,
-            progress,
+    options = _start_options(records, time_constants, block_rows, weight, map, input_matrix_from, known["mass"])
+    starts = starts_of(complete, setting, scaling.sampling_time, options, progress)
+    if complete is not signals:
+        runs = [model_run(starts[0].matrices, setting, s)[0] for s in complete]
+        complete = filled(records, scaling, runs)
+        starts = starts_of(complete, setting, scaling.sampling_time, options, progress)
+
+    def physical(start: Start) -> tuple:
+        M, D, K = (np.asarray(X) for X in nearest_physical(start.matrices))
+        if normalised:
+            M, D, K = (X * known["mass"][0, 0] / M[0, 0] for X in (M, D, K))
+        return tuple(
+            jnp.asarray(with_known(X, known[name])) for X, name in ((M, "mass"), (D, "damping"), (K, "stiffness"))
         )
 
-    start = begin(complete)
-    if complete is not signals:
-        runs = [model_run(start.matrices, setting, s)[0] for s in complete]
-        start = begin(filled(records, scaling, runs))
-
-    M, D, K = (np.asarray(X) for X in nearest_physical(start.matrices))
-    if normalised:
-        M, D, K = (X * known["mass"][0, 0] / M[0, 0] for X in (M, D, K))
-    M, D, K = (with_known(X, known[name]) for X, name in ((M, "mass"), (D, "damping"), (K, "stiffness")))
+    start = starts[0]
+    M, D, K = physical(start)
     whole = records
     longest = max(r.samples for r in records)
     if rigid_modes(start, longest) and np.max(start.deviation) > DRIFT and not entries:
@@ -152,17 +146,22 @@ def identify(
     batch = Batch.of(signals)
     refinement = None
     if refine:
-        progress.stage("refining")
-        refinement = refine_model(
-            (jnp.asarray(M), jnp.asarray(D), jnp.asarray(K)),
-            batch,
-            setting,
-            structure=form,
-            offset=bool(np.linalg.eigvalsh(K)[0] > 1e-6 * np.linalg.eigvalsh(K)[-1]),
-            innovations=noise == "innovations",
-            fixed=held,
-            deviation=jnp.asarray(start.deviation),
-        )
+
+        def refined(start: Start):
+            M, D, K = physical(start)
+            values = np.linalg.eigvalsh(K)
+            return refine_model(
+                (M, D, K),
+                batch,
+                setting,
+                structure=form,
+                offset=bool(values[0] > 1e-6 * values[-1]),
+                innovations=noise == "innovations",
+                fixed=held,
+                deviation=jnp.asarray(start.deviation),
+            )
+
+        start, refinement = _best_refined(starts, refined, setting, signals, progress)
         M, D, K = refinement.mass, refinement.damping, refinement.stiffness
     progress.stage("assessing")
     matrices = [np.array(X) for X in scaling.matrices_out(M, D, K)]
@@ -225,20 +224,8 @@ def _grid(values, default, name: str) -> np.ndarray:
     return grid
 
 
-def _start(
-    signals,
-    setting,
-    records,
-    scaling,
-    time_constants,
-    block_rows,
-    weight,
-    map,
-    input_matrix_from,
-    known,
-    progress,
-) -> Start:
-    """The better of the subspace and the regression start."""
+def _start_options(records, time_constants, block_rows, weight, map, input_matrix_from, mass) -> StartOptions:
+    """What the start is looked for with, checked against the records."""
     longest = max(records, key=lambda r: r.samples)
     taus = _grid(time_constants, default_time_constants(longest), "time_constants")
     rows = _grid(block_rows, usable_block_rows(longest), "block_rows")
@@ -252,37 +239,32 @@ def _start(
             stage="subspace start",
             detail=f"{longest.samples} samples for {max(rows)} block rows, which need more than {columns}",
         )
-    mass = known["mass"]
     known_mass = jnp.asarray(mass) if np.all(np.isfinite(mass)) else None
-    progress.stage("subspace start")
-    first = failure = None
-    try:
-        first = subspace_start(
-            signals,
-            setting,
-            taus,
-            rows,
-            scaling.sampling_time,
-            weight=weight,
-            map=map,
-            input_matrix_from=input_matrix_from,
-            known_mass=known_mass,
-        )
-    except ComputationError as error:
-        failure = error
-    if first is not None and np.all(first.deviation < POOR):
-        return first
-    if isinstance(setting.drive, Force):
-        progress.stage("regression start")
+    return StartOptions(taus, rows, weight, map, input_matrix_from, known_mass)
+
+
+def _best_refined(starts: list[Start], refined, setting: Setting, signals: list[Signals], progress: AbstractProgress):
+    """The start whose refinement simulates best, and that refinement.
+
+    A start that serves is refined alone. From poor ones a refinement may end in another minimum, so that the best few
+    are refined, until one end is near the record.
+    """
+    best = failure = None
+    for k, start in enumerate(starts[:MOST_STARTS]):
+        progress.stage("refining" if k == 0 else f"refining from another start ({k + 1})")
         try:
-            with python_warnings.catch_warnings():
-                python_warnings.simplefilter("ignore", RuntimeWarning)
-                second = regression_start(signals, setting, taus, scaling.sampling_time, first)
+            end = refined(start)
         except ComputationError as error:
             failure = failure or error
-        else:
-            if first is None or second.score > first.score:
-                return second
-    if first is None:
+            continue
+        if len(starts) == 1:
+            return start, end
+        left = total_deviation((end.mass, end.damping, end.stiffness), setting, signals)
+        reached = float(score(jnp.asarray(left)))
+        if best is None or reached > best[0]:
+            best = reached, start, end
+        if np.all(left < NEAR):
+            break
+    if best is None:
         raise failure
-    return first
+    return best[1:]

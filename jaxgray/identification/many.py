@@ -17,7 +17,7 @@ from ..numerics.runtime import ready
 from ..records import Record, check_compatible
 from .compression import padded_samples
 from .filter_bank import pole
-from .identify import POOR, identify
+from .identify import identify
 from .many_result import Identifications
 from .many_start import start_one
 from .many_steps import LAGS, One, Refined, refine_one
@@ -27,7 +27,7 @@ from .prediction import Setting
 from .preparation import prepare, scaling_of
 from .projection import WEIGHTS
 from .realization import ExactMap
-from .start import filled, subspace_start
+from .start import POOR, StartOptions, filled, subspace_starts
 from .structure import Structure, structure_of
 from .sweep import default_time_constants, drives_every_coordinate, usable_block_rows
 
@@ -146,16 +146,12 @@ def _choices(records, drive, time_constants, block_rows, weight) -> tuple[np.nda
         scaling = scaling_of([record])
         grid = default_time_constants(record) if time_constants is None else taus
         try:
-            start = subspace_start(
+            start = subspace_starts(
                 filled([record], scaling, None),
                 _setting(record, scaling, drive),
-                grid,
-                rows,
                 scaling.sampling_time,
-                weight=weight,
-                map=ExactMap(),
-                input_matrix_from="factor",
-            )
+                StartOptions(grid, rows, weight, ExactMap(), "factor", None),
+            )[0]
         except ComputationError as error:
             failure = error
             continue

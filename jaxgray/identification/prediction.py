@@ -8,9 +8,12 @@ from jaxtyping import Array, Float
 
 from ..mechanics.drives import AbstractDrive
 from ..mechanics.statespace import StateSpace, sampled
-from ..numerics.lifting import SHORT_BLOCK, respond
+from ..numerics.lifting import SHORT_BLOCK, free_response, respond
 from ..numerics.riccati import kalman_gain
 from .preparation import Signals
+
+RIDGE = 1e-11
+"""Added to the Gram matrix of first state and offsets, relative to its trace: a state may not be visible."""
 
 
 class Nuisance(eqx.Module):
@@ -65,6 +68,23 @@ def free_run(system: StateSpace, batch: Batch, nuisance: Nuisance) -> Float[Arra
 
     y = jax.vmap(one)(batch.u, nuisance.x0)
     return y if nuisance.offset is None else y + nuisance.offset[:, None, :]
+
+
+def best_run(system: StateSpace, signals: Signals) -> tuple[Float[Array, "samples outputs"], Float[Array, " outputs"]]:
+    """Free run of a sampled system with the best first state and offsets, and its mean square residual per output."""
+    samples, outputs = signals.y.shape
+    free = free_response(system.A, system.C, samples)
+    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
+    offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
+    forced = respond(system.A, system.B, system.C, system.D, signals.u)
+    table = jnp.concatenate([free, offsets], axis=2)
+    rows = (table * signals.kept[:, :, None]).reshape(samples * outputs, -1)
+    gram = rows.T @ rows
+    target = rows.T @ ((signals.y - forced) * signals.kept).reshape(-1)
+    solution = jnp.linalg.solve(gram + RIDGE * jnp.trace(gram) * jnp.eye(gram.shape[0]), target)
+    simulated = forced + table @ solution
+    deviation = jnp.sum(((signals.y - simulated) * signals.kept) ** 2, axis=0)
+    return simulated, deviation / jnp.maximum(jnp.sum(signals.kept, axis=0), 1.0)
 
 
 def noise_model(system: StateSpace, noise: Float[Array, " ratios"], inputs: int) -> tuple[Array, Array]:

@@ -18,16 +18,15 @@ from .preparation import Signals, prepare
 from .refine import Refinement
 from .start import Start, model_run
 from .structure import Structure
+from .structure_test import StructureTest, structure_test
 from .uncertainty import Uncertainty, uncertainty
 from .validation import (
     Fit,
     ResidualTest,
-    StructureTest,
     fit_of,
     information_criteria,
     noise_floor,
     residual_test,
-    structure_test,
 )
 
 POOR_FIT = 80.0
@@ -165,10 +164,18 @@ def assess(
         if refinement.nuisance.noise is None and not tests.white:
             meat = _score_covariance(J, estimation, scaling, refinement, batch)
         spread = uncertainty(refinement, scaling, structure, fixed=held, meat=meat)
-        poles = np.clip(
-            np.exp(-1.0 / (np.array([0.5, 2.0]) * start.time_constant / scaling.sampling_time)), 0.05, 0.995
+        scaled = tuple(jnp.asarray(X) for X in (refinement.mass, refinement.damping, refinement.stiffness))
+        free = np.ones(J.shape[3], bool)
+        if held is not None:
+            free[: len(held)] &= ~np.asarray(held, bool)
+        found = structure_test(
+            records[0].y,
+            estimation[0].residual,
+            J[0, : records[0].samples][:, :, free] * np.asarray(scaling.outputs)[:, None],
+            records[0].u,
+            np.asarray(setting.drive.state_space(*scaled, setting.measured, 1.0).A),
+            direct=bool(np.any(np.asarray(setting.system(*scaled).D) != 0)),
         )
-        found = structure_test(estimation[0].residual, J[0, : records[0].samples], records[0].u, poles)
         parameters = refinement.normal.information.shape[0]
         if refinement.nuisance.noise is not None:
             values = np.asarray(refinement.nuisance.noise)
@@ -234,7 +241,9 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
             "settled; try another time constant, or fix entries that you know."
         )
     result += [f"Parameter {name} does not move any output; fix it or excite it." for name in spread.unmoved]
-    result += [f"Hardly determined by this record: {text}." for text in spread.weak_directions]
+    for text in spread.weak_directions:
+        remedy = "Excite nearer to the natural frequencies" if "mass" in text else "Excite it more"
+        result.append(f"Hardly determined by this record: {text}. {remedy}, or fix entries that you know.")
     result += [f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge]
     errors = spread.standard_errors()["mass"]
     for k, name in enumerate(model.output_names):

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..mechanics.drives import Force
-from ..numerics.lifting import free_response, respond
 from ..numerics.linear_algebra import project_positive
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver
@@ -18,7 +17,7 @@ from ..records import Record
 from .filter_bank import pole
 from .input_matrix import InputFit, fit_to_record
 from .physical import Scaling, from_inverse_mass, input_matrix, jointly
-from .prediction import Setting
+from .prediction import Setting, best_run
 from .preparation import Signals, prepare
 from .projection import AbstractWeight
 from .realization import AbstractMap, Realization
@@ -26,6 +25,11 @@ from .regression import regress, regression_time_constants
 from .sweep import candidates, drives_every_coordinate, record_factors, score
 
 BASIS_LIMIT = 1e10
+MOST_CELLS = 5
+
+POOR = 0.3
+"""Share of an output's power left by a start above which others are tried too."""
+
 REACH_LIMIT = 1e-11
 
 
@@ -33,15 +37,15 @@ REACH_LIMIT = 1e-11
 class Start:
     """A starting model in scaled coordinates.
 
-    `matrices`: M, D, K; `deviation`: mean square free-run residual per output; `method`: "subspace" or
-    "regression"; `time_constant` [s]; `block_rows`; `singular_values` of the projection; `table`: score of every
-    (τ, i) tried; `grid`: those τ [s] and i.
+    `matrices`: M, D, K; `deviation`: mean square free-run residual per output; `method`: "subspace",
+    "regression" or "modal"; `time_constant` [s], None for modal; `block_rows`; `singular_values` of the projection;
+    `table`: score of every (τ, i) tried; `grid`: those τ [s] and i.
     """
 
     matrices: tuple[Array, Array, Array]
     deviation: Float[np.ndarray, " outputs"]
     method: str
-    time_constant: float
+    time_constant: float | None
     block_rows: int | None
     singular_values: Float[np.ndarray, " values"] | None
     table: Float[np.ndarray, "time_constants choices"] | None
@@ -52,27 +56,35 @@ class Start:
         """Likelihood of the free run, −∞ where it is unstable."""
         return float(score(jnp.asarray(self.deviation)))
 
+    @property
+    def serves(self) -> bool:
+        """Whether the free run is near enough to the record for one refinement to find the optimum."""
+        return bool(np.all(self.deviation < POOR))
+
+
+@dataclass(frozen=True)
+class StartOptions:
+    """How a start is looked for.
+
+    `time_constants` [s] and `block_rows` to try; `weight`; `map`; `input_matrix_from`: "record" (regression on
+    simulated responses), "factor" (the paper's step 6), or "best" (both, judged by free run); `known_mass`: scaled,
+    or None.
+    """
+
+    time_constants: Float[np.ndarray, " time_constants"]
+    block_rows: tuple[int, ...]
+    weight: AbstractWeight
+    map: AbstractMap
+    input_matrix_from: str
+    known_mass: Array | None
+
 
 @eqx.filter_jit
 def model_run(
     matrices: tuple[Array, Array, Array], setting: Setting, signals: Signals
 ) -> tuple[Float[Array, "samples outputs"], Float[Array, " outputs"]]:
     """Free run with the best initial state and offsets, and its mean square residual per output."""
-    system = setting.system(*matrices)
-    samples, outputs = signals.y.shape
-    free = free_response(system.A, system.C, samples)
-    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
-    offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
-    forced = respond(system.A, system.B, system.C, system.D, signals.u)
-    table = jnp.concatenate([free, offsets], axis=2)
-    kept = signals.kept[:, :, None]
-    rows = (table * kept).reshape(samples * outputs, -1)
-    gram = rows.T @ rows
-    target = rows.T @ ((signals.y - forced) * signals.kept).reshape(-1)
-    solution = jnp.linalg.solve(gram + 1e-11 * jnp.trace(gram) * jnp.eye(gram.shape[0]), target)
-    simulated = forced + table @ solution
-    deviation = jnp.sum(((signals.y - simulated) * signals.kept) ** 2, axis=0)
-    return simulated, deviation / jnp.maximum(jnp.sum(signals.kept, axis=0), 1.0)
+    return best_run(setting.system(*matrices), signals)
 
 
 def total_deviation(matrices, setting: Setting, signals: list[Signals]) -> np.ndarray:
@@ -116,41 +128,33 @@ def _record_fit(realization, signals, weights, setting):
     )
 
 
-def subspace_start(
-    signals: list[Signals],
-    setting: Setting,
-    time_constants: Float[np.ndarray, " time_constants"],
-    block_rows: tuple[int, ...],
-    sampling_time: float,
-    *,
-    weight: AbstractWeight,
-    map: AbstractMap,
-    input_matrix_from: str = "best",
-    known_mass: Array | None = None,
-) -> Start:
-    """The best subspace model over a grid of time constants and block rows.
+def subspace_starts(
+    signals: list[Signals], setting: Setting, sampling_time: float, options: StartOptions
+) -> list[Start]:
+    """Subspace models from a grid of time constants and block rows, best first.
 
-    **Arguments:** `signals`: scaled records; `setting`; `time_constants` [s]; `block_rows`; `sampling_time`
-    [s]; `weight`; `map`; `input_matrix_from`: "record" (regression on simulated responses), "factor" (the
-    paper's step 6), or "best" (both, judged by free run); `known_mass`: scaled, or None.
+    One where the best cell serves; where the model of a cell simulates poorly (its damping, say, was cut off at the
+    edge of what is physical), those of the next cells too.
 
-    **Returns:** a `Start`.
+    **Arguments:** `signals`: scaled records; `setting`; `sampling_time` [s]; `options`.
+
+    **Returns:** one or more `Start`s.
 
     **Raises:** `ComputationError` when no choice gives a usable model.
     """
-    padded = max(block_rows)
-    poles = pole(jnp.asarray(time_constants), sampling_time)
+    padded = max(options.block_rows)
+    poles = pole(jnp.asarray(options.time_constants), sampling_time)
     factor_grid, householder = record_factors(signals, poles, padded)
     longest = max(signals, key=lambda s: s.samples)
     found = candidates(
         factor_grid,
         poles,
-        jnp.asarray(block_rows, float),
+        jnp.asarray(options.block_rows, float),
         longest,
         inputs=longest.u.shape[1],
         padded=padded,
-        weight=weight,
-        map=map,
+        weight=options.weight,
+        map=options.map,
         measured=setting.measured,
         hold=setting.hold,
         householder=householder,
@@ -160,13 +164,14 @@ def subspace_start(
         raise _why_none(found)
     order = np.argsort(-table, axis=None)[: int(np.isfinite(table).sum())]
     failure = None
-    for flat in order[:5]:
+    starts: list[Start] = []
+    for flat in order[:MOST_CELLS]:
         index = np.unravel_index(flat, table.shape)
         chosen = jax.tree_util.tree_map(lambda leaf, index=index: leaf[index], found)
         best = None
-        for fit in _input_fits(chosen, signals, setting, input_matrix_from):
+        for fit in _input_fits(chosen, signals, setting, options.input_matrix_from):
             try:
-                matrices = physical_model(chosen.realization, fit, setting, known_mass)
+                matrices = physical_model(chosen.realization, fit, setting, options.known_mass)
             except ComputationError as error:
                 failure = error
                 continue
@@ -174,17 +179,21 @@ def subspace_start(
                 matrices,
                 total_deviation(matrices, setting, signals),
                 "subspace",
-                float(time_constants[index[0]]),
-                int(block_rows[index[1]]),
+                float(options.time_constants[index[0]]),
+                int(options.block_rows[index[1]]),
                 np.asarray(chosen.realization.singular_values),
                 table,
-                (tuple(np.asarray(time_constants, float).tolist()), tuple(int(i) for i in block_rows)),
+                (tuple(np.asarray(options.time_constants, float).tolist()), options.block_rows),
             )
             if np.isfinite(here.score) and (best is None or here.score > best.score):
                 best = here
         if best is not None:
-            return best
-    raise failure or ComputationError(RESULTS.unstable_start, stage="subspace start")
+            starts.append(best)
+            if best.serves:
+                break
+    if not starts:
+        raise failure or ComputationError(RESULTS.unstable_start, stage="subspace start")
+    return sorted(starts, key=lambda start: -start.score)
 
 
 def _input_fits(chosen, signals: list[Signals], setting: Setting, source: str) -> list[InputFit]:
@@ -223,7 +232,8 @@ def regression_start(
 ) -> Start:
     """The best regression model over time constants, with simulated outputs as instruments where they serve.
 
-    **Arguments:** as for `subspace_start`; `first`: a model whose free run serves as instruments.
+    **Arguments:** as for `subspace_starts`; `time_constants` [s] of its grid; `first`: a model whose free run serves as
+    instruments.
 
     **Returns:** a `Start`.
 

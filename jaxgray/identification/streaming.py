@@ -28,7 +28,7 @@ from .prediction import Setting
 from .preparation import prepare, scaling_of
 from .projection import MOESP
 from .realization import ExactMap
-from .start import subspace_start
+from .start import StartOptions, subspace_starts
 from .sweep import candidates, default_time_constants, usable_block_rows
 
 STEP = 2**14
@@ -276,6 +276,6 @@ def _best(head: Record, scaling: Scaling, time_constants, block_rows, input_map)
     taus = default_time_constants(head) if time_constants is None else np.atleast_1d(time_constants)
     rows = usable_block_rows(head) if block_rows is None else (int(block_rows),)
     setting = Setting(scaled, head.measured, head.hold)
-    options = {"weight": MOESP(), "map": ExactMap(), "input_matrix_from": "factor"}
-    start = subspace_start([prepare(head, scaling)], setting, taus, rows, scaling.sampling_time, **options)
+    options = StartOptions(taus, rows, MOESP(), ExactMap(), "factor", None)
+    start = subspace_starts([prepare(head, scaling)], setting, scaling.sampling_time, options)[0]
     return start.time_constant if time_constants is None else time_constants, start.block_rows

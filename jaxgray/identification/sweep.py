@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..mechanics.drives import AbstractDrive, Force
-from ..numerics.lifting import free_response, respond
+from ..mechanics.statespace import StateSpace
 from ..records import Record
 from .compression import RANK_TOLERANCE, combine, factors
 from .input_matrix import InputFit, fit_to_factor, unit_drives
 from .physical import input_matrix
+from .prediction import best_run
 from .preparation import Signals
 from .projection import AbstractWeight, arrange, project
 from .realization import AbstractMap, Realization, realize
@@ -92,18 +93,7 @@ def deviation(
 ) -> Float[Array, " outputs"]:
     """Mean square free-run residual per output, with the best initial state and offsets."""
     Ad, Bd, C, Dd = unit_drives(realization, measured, hold)
-    samples, outputs = signals.y.shape
-    free = free_response(Ad, C, samples)
-    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
-    offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
-    residual = signals.y - respond(Ad, Bd @ B2, C, Dd @ B2, signals.u)
-    nuisance = jnp.concatenate([free, offsets], axis=2) * signals.kept[:, :, None]
-    nuisance = nuisance.reshape(samples * outputs, -1)
-    residual = (residual * signals.kept).reshape(-1)
-    gram = nuisance.T @ nuisance
-    solution = jnp.linalg.solve(gram + 1e-12 * jnp.trace(gram) * jnp.eye(gram.shape[0]), nuisance.T @ residual)
-    rest = (residual - nuisance @ solution).reshape(samples, outputs)
-    return jnp.sum(rest**2, axis=0) / jnp.maximum(jnp.sum(signals.kept, axis=0), 1.0)
+    return best_run(StateSpace(Ad, Bd @ B2, C, Dd @ B2), signals)[1]
 
 
 @functools.partial(jax.jit, static_argnames=("inputs", "padded", "weight", "map", "measured", "hold", "householder"))

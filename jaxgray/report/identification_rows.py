@@ -101,4 +101,5 @@ def evidence_lines(document: dict) -> list[str]:
 def start_line(start: dict) -> str:
     """Where the refinement started from."""
     rows = "" if start["block_rows"] is None else f", {start['block_rows']} block rows"
-    return f"start: {start['method']}, time constant {start['time_constant']:.3g} s{rows}"
+    tau = "" if start["time_constant"] is None else f", time constant {start['time_constant']:.3g} s"
+    return f"start: {start['method']}{tau}{rows}"

@@ -3,13 +3,8 @@
 import pytest
 from found import REST, check_found, diagnosed, hidden_case, searched
 
-KNOWN_LIMIT = "the linear start is far off on this sweep, and the refinement ends in another minimum"
 
-
-@pytest.mark.parametrize(
-    "effect_id",
-    [pytest.param(i, marks=pytest.mark.xfail(reason=KNOWN_LIMIT)) if i == "sensor_lag" else i for i in REST],
-)
+@pytest.mark.parametrize("effect_id", REST)
 def test_a_hidden_effect_is_found(effect_id):
     case = hidden_case(effect_id)
     check_found(case, diagnosed(case, only=searched(effect_id)))

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from jaxgray import ComputationError, MechanicalModel, Record, identify
+from jaxgray.identification.modal_start import modal_start
+from jaxgray.identification.preparation import prepare, scaling_of
 
 pytestmark = pytest.mark.xdist_group("identify")
 
@@ -142,7 +144,6 @@ def test_start_on_the_edge_with_a_regular_truth():
     from jax import numpy as jnp
 
     from jaxgray.identification.prediction import Batch, Setting
-    from jaxgray.identification.preparation import prepare, scaling_of
     from jaxgray.identification.refine import refine
 
     record = record_of(6, noise=0.0)
@@ -290,3 +291,37 @@ def test_result_can_be_read():
     assert found.structure_test.fits and found.residual_test.white
     assert found.covariance.shape == (9, 9)
     assert not found.warnings, found.warnings
+
+
+def test_a_third_mode_asks_for_another_form():
+    rng = np.random.default_rng(3)
+    u = data.random_steps(rng, SAMPLES, 2, H, (0.2, 1.5))
+    y = data.simulate(*data.random_system(rng, 3), u, H, E=np.eye(3, 2))[:, :2]
+    found = identify(Record(u, y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), H))
+    assert not found.structure_test.fits and found.structure_test.modes == 3
+    assert any("do not fit" in text for text in found.warnings)
+
+
+def test_modes_alone_lead_near_the_truth():
+    """Shapes are taken for real: damping that couples the modes is missed."""
+    record = record_of(12, noise=5 * NOISE)
+    found = identify(record)
+    assert found.structure_test.fits
+    start = modal_start([prepare(record, found.scaling)], found.setting)
+    mass, damping, stiffness = data.relative_errors(found.scaling.matrices_out(*start.matrices), TRUTH)
+    assert mass < 0.02 and stiffness < 0.02 and damping < 0.4
+
+
+def test_quasi_static_record_says_that_inertia_is_not_visible():
+    """Forces so slow that M q̈ is nowhere above the noise: a named failure, or a warning with a remedy."""
+    rng = np.random.default_rng(0)
+    u = np.cumsum(data.smooth_noise(rng, SAMPLES, 2, 0.002), axis=0)
+    u = u / u.std(axis=0)
+    y = data.simulate(*TRUTH, u, H)
+    record = Record(u, y + 1e-2 * y.std(axis=0) * rng.standard_normal(y.shape), H)
+    try:
+        found = identify(record)
+    except ComputationError as error:
+        assert "try" in str(error).lower() or "excite" in str(error).lower()
+    else:
+        assert any("Excite nearer" in text for text in found.warnings), found.warnings

@@ -1,0 +1,1 @@
+"""Rows of `identification_accuracy.py`."""
