@@ -9,11 +9,14 @@ if TYPE_CHECKING:
     from .diagnosis.diagnose import diagnose as diagnose
     from .diagnosis.result import Diagnosis as Diagnosis
     from .identification import CompressedRecord as CompressedRecord
+    from .identification import Estimate as Estimate
     from .identification import Identification as Identification
     from .identification import Identifications as Identifications
+    from .identification import RowWeights as RowWeights
     from .identification import Stabilisation as Stabilisation
     from .identification import Sweep as Sweep
     from .identification import compress as compress
+    from .identification import estimate as estimate
     from .identification import identify as identify
     from .identification import identify_many as identify_many
     from .identification import stabilisation as stabilisation
@@ -42,11 +45,14 @@ _HOMES = {
     "diagnosis.result": ("Diagnosis",),
     "identification": (
         "CompressedRecord",
+        "Estimate",
         "Identification",
         "Identifications",
+        "RowWeights",
         "Stabilisation",
         "Sweep",
         "compress",
+        "estimate",
         "identify",
         "identify_many",
         "stabilisation",

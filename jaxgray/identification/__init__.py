@@ -1,5 +1,8 @@
 """How the model is found: λ-domain subspace or regression start, then prediction-error refinement."""
 
+from .estimate import Estimate as Estimate
+from .estimate import RowWeights as RowWeights
+from .estimate import estimate as estimate
 from .identify import identify as identify
 from .many import identify_many as identify_many
 from .many_result import Identifications as Identifications

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 from jaxtyping import Array, Bool, Float
 
-from ..numerics.linear_algebra import dominant_subspace, orthonormal_basis
+from ..numerics.linear_algebra import dominant_subspace, inverse_root, orthonormal_basis
 from .filter_bank import lambda_powers, lambda_shift, past_rows
 
 
@@ -115,10 +115,7 @@ class CVA(AbstractWeight):
     truncation: float = 1e-10
 
     def apply(self, data, future, projected):
-        values, vectors = jnp.linalg.eigh(future.T @ future)
-        large = values > self.truncation * values[-1]
-        inverse = jnp.where(large, 1.0 / jnp.sqrt(jnp.where(large, values, 1.0)), 0.0)
-        return inverse[:, None] * (vectors.T @ projected)
+        return inverse_root(future.T @ future, self.truncation) @ projected
 
 
 class PastInputs(AbstractWeight):

@@ -153,6 +153,37 @@ def _project_positive_jvp(primals, tangents):
     return (vectors * clipped) @ vectors.T, vectors @ (slope * rotated) @ vectors.T
 
 
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def inverse_root(X: Float[Array, "n n"], truncation: float) -> Float[Array, "n n"]:
+    """X^(−1/2) of a positive semidefinite matrix, directions below `truncation` (relative) left out.
+
+    The derivative is by divided differences, as that of `project_positive`.
+    """
+    roots, vectors = _inverse_roots(X, truncation)[1:]
+    return (vectors * roots) @ vectors.T
+
+
+def _inverse_roots(X, truncation):
+    values, vectors = jnp.linalg.eigh((X + X.T) / 2)
+    large = values > truncation * values[-1]
+    return values, jnp.where(large, 1.0 / jnp.sqrt(jnp.where(large, values, 1.0)), 0.0), vectors
+
+
+@inverse_root.defjvp
+def _inverse_root_jvp(truncation, primals, tangents):
+    (X,), (dX,) = primals, tangents
+    values, roots, vectors = _inverse_roots(X, truncation)
+    r, s = roots[:, None], roots[None, :]
+    # (r − s)/(a − b) = −r²s²/(r + s) for a = r⁻², b = s⁻², and r/(a − b) where s is left out.
+    both = (r > 0) & (s > 0)
+    difference = values[:, None] - values[None, :]
+    one = ((r > 0) ^ (s > 0)) & (difference != 0)
+    slope = jnp.where(both, -((r * s) ** 2) / jnp.where(both, r + s, 1.0), 0.0)
+    slope = jnp.where(one, (r - s) / jnp.where(one, difference, 1.0), slope)
+    rotated = vectors.T @ ((dX + dX.T) / 2) @ vectors
+    return (vectors * roots) @ vectors.T, vectors @ (slope * rotated) @ vectors.T
+
+
 def least_squares(X: Float[Array, "rows columns"], Y: Float[Array, "rows targets"]) -> Float[Array, "columns targets"]:
     """Solution of min ‖X Z − Y‖ for full column rank, by QR with scaled columns."""
     scale = jnp.linalg.norm(X, axis=0)

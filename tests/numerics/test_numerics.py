@@ -10,6 +10,7 @@ from jaxgray.numerics.linear_algebra import (
     dominant_subspace,
     duplication,
     from_symmetric_vector,
+    inverse_root,
     orthonormal_basis,
     project_positive,
     symmetric_vector,
@@ -98,6 +99,24 @@ def test_derivative_of_positive_projection(values):
     dX = dX + dX.T
     numerical = (project_positive(X + 1e-6 * dX) - project_positive(X - 1e-6 * dX)) / 2e-6
     np.testing.assert_allclose(jax.jvp(project_positive, (X,), (dX,))[1], numerical, atol=1e-8)
+
+
+@pytest.mark.parametrize("values", [(2.0, 2.0, 1.0), (1.0, 0.5, 0.0)])
+def test_derivative_of_inverse_root(values):
+    rng = np.random.default_rng(6)
+    Q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    X = Q @ np.diag(values) @ Q.T
+    # Within the range of X: what is left out stays left out.
+    P = Q @ np.diag(np.sign(values)) @ Q.T
+    dX = P @ rng.standard_normal((3, 3)) @ P
+    dX = dX + dX.T
+
+    def root(X):
+        return inverse_root(X, 1e-8)
+
+    np.testing.assert_allclose(root(X) @ X @ root(X), P, atol=1e-12)
+    numerical = (root(X + 1e-5 * dX) - root(X - 1e-5 * dX)) / 2e-5
+    np.testing.assert_allclose(jax.jvp(root, (X,), (dX,))[1], numerical, atol=1e-8)
 
 
 def problems(count):
