@@ -164,7 +164,7 @@ def _table(poles, data: Whitened, k: int) -> tuple[np.ndarray, np.ndarray]:
     return table / size[:, None], size
 
 
-def _at(poles, data: Whitened) -> RivalFit:
+def at_poles(poles, data: Whitened) -> RivalFit:
     """Residues by least squares at given poles."""
     modes = len(poles)
     tables, bases, solutions, sizes = [], [], [], []
@@ -198,7 +198,7 @@ def _at(poles, data: Whitened) -> RivalFit:
 
 def no_modes(data: Whitened) -> RivalFit:
     """What offsets alone leave, to add modes to."""
-    return _at(np.zeros((0, 2)), data)
+    return at_poles(np.zeros((0, 2)), data)
 
 
 def _pole_equations(fit: RivalFit, data: Whitened) -> tuple[np.ndarray, np.ndarray]:
@@ -228,7 +228,7 @@ def fit_rival(poles: Float[np.ndarray, "modes 2"], data: Whitened, *, steps: int
 
     **Reference:** Kaufman, BIT 15 (1975) 49-57 (variable projection), with Marquardt's damping.
     """
-    here = _at(poles, data)
+    here = at_poles(poles, data)
     damping = 1e-3
     for _ in range(steps):
         gram, slope = _pole_equations(here, data)
@@ -240,7 +240,7 @@ def fit_rival(poles: Float[np.ndarray, "modes 2"], data: Whitened, *, steps: int
             if not float(slope @ step) > SETTLED * variance:
                 break
             moved = here.poles + np.clip(step, -1.0, 1.0).reshape(-1, 2)
-            trial = _at(np.clip(moved, np.log(LEAST), [2 * np.log(np.pi), np.log(20.0)]), data)
+            trial = at_poles(np.clip(moved, np.log(LEAST), [2 * np.log(np.pi), np.log(20.0)]), data)
             if trial.cost < here.cost:
                 better = trial
                 damping = max(damping / 10, 1e-9)

@@ -7,11 +7,17 @@ import scipy.stats
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from .rival import CELLS, RivalFit, Whitened, fit_rival, further_modes, poles_of
+from .rival import CELLS, RivalFit, Whitened, at_poles, fit_rival, further_modes, poles_of
 
 SIGNIFICANCE = 1e-3
 
 HIGHEST_AR = 40
+
+RINGING = 1.25
+"""By how much more than white noise inputs that have nothing to do with a residual explain of it where noise enters at
+the forces."""
+
+SHIFTS = (0.13, 0.24, 0.37, 0.5, 0.63, 0.76, 0.87)
 
 ROUNDING = 1e-9
 """Residual, relative to the output, below which nothing is asked: it is rounding."""
@@ -66,15 +72,21 @@ def structure_test(
     parameters = int(np.sum(np.any(jacobian != 0, axis=(0, 1))))
     starts = [poles_of(A)]
     coefficients = [np.ones(1)] * y.shape[1]
+    ringing, own_colour, own_size = _ringing(starts[0], residual, u, direct)
+    if ringing > RINGING:
+        # What the residual's own colour hides is lost, but noise at the forces is not taken for a misfit.
+        coefficients, size = own_colour, np.maximum(own_size, ROUNDING * np.nanstd(y, axis=0))
+    else:
+        ringing = 1.0
     while True:
         data = Whitened.of(y, u, coefficients, size, direct=direct)
         left = _left(residual, jacobian, coefficients, size)
         own = fit_rival(starts[0], data)
-        judged = [_judge(own, data, left, parameters, 1)]
+        judged = [_judge(own, data, left, parameters, 1, ringing)]
         if data.count > 4 * own.parameters:
             extra = starts[1:] or [np.concatenate([own.poles, new[None]]) for new in further_modes(own, data)]
             further = min((fit_rival(poles, data) for poles in extra), key=lambda fit: fit.cost)
-            judged.append(_judge(further, data, left, parameters, CELLS))
+            judged.append(_judge(further, data, left, parameters, CELLS, ringing))
         best = min(judged, key=lambda found: found[0])
         rest = judged[-1][2].residual.T
         colours = [ar_by_bic(row) for row in rest.T] if len(coefficients[0]) == 1 else []
@@ -103,12 +115,37 @@ def _left(residual, jacobian, coefficients, size) -> float:
     return float(table[-1] @ table[-1] - along @ along)
 
 
-def _judge(fit: RivalFit, data: Whitened, left: float, parameters: int, looks: int) -> tuple[float, float, RivalFit]:
+def _judge(
+    fit: RivalFit, data: Whitened, left: float, parameters: int, looks: int, ringing: float
+) -> tuple[float, float, RivalFit]:
     """Probability of so good a rival by chance among so many looks, the statistic, and the rival."""
     free = max(fit.parameters - parameters, 1)
     rest = max(data.count - fit.parameters, 1.0)
-    statistic = max(left - fit.cost, 0.0) / free / max(fit.cost / rest, 1e-300)
+    statistic = max(left - fit.cost, 0.0) / free / max(fit.cost / rest, 1e-300) / ringing
     return min(1.0, looks * float(scipy.stats.f.sf(statistic, free, rest))), float(statistic), fit
+
+
+def _ringing(poles, residual, u, direct: bool) -> tuple[float, list, np.ndarray]:
+    """How much more of the residual, its own colour taken out, is explained by inputs that have nothing to do with it
+    than would be of white noise; the colour, and the size of its innovations, per output.
+
+    The record's own inputs, shifted in time, drive the model's modes. Noise at the forces rings at the same modes and
+    passes for a response to anything; white noise and coloured noise of sensors give 1.
+    """
+    e = np.nan_to_num(residual - np.nanmean(residual, axis=0))
+    colour = [ar_by_bic(x) for x in e.T]
+    colour = [c if len(c) > 1 else np.array([1.0, 0.0]) for c in colour]
+    size = np.array([np.std(lfilter(c, [1.0], x)) for c, x in zip(colour, e.T)])
+    size = np.where(size > 0, size, 1.0)
+    measured = np.where(np.isfinite(residual), e, np.nan)
+    shares = []
+    for part in SHIFTS:
+        data = Whitened.of(measured, np.roll(u, int(part * len(u)), axis=0), colour, size, direct=direct)
+        placebo = at_poles(poles, data)
+        taken = float(np.sum(data.y**2)) - placebo.cost
+        noise = placebo.cost / max(data.count - placebo.parameters, 1.0)
+        shares.append(taken / max(noise, 1e-300) / max(placebo.parameters - poles.size, 1))
+    return float(np.mean(shares)), colour, size
 
 
 def ar_by_bic(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " coefficients"]:
