@@ -17,6 +17,9 @@ RINGING = 1.25
 """By how much more than white noise inputs that have nothing to do with a residual explain of it where noise enters at
 the forces."""
 
+MOST = 0.5
+"""Share of the residual from which a rival explains more of it than noise at the forces could pass for."""
+
 SHIFTS = (0.13, 0.24, 0.37, 0.5, 0.63, 0.76, 0.87)
 
 ROUNDING = 1e-9
@@ -72,23 +75,26 @@ def structure_test(
     parameters = int(np.sum(np.any(jacobian != 0, axis=(0, 1))))
     starts = [poles_of(A)]
     coefficients = [np.ones(1)] * y.shape[1]
-    ringing, own_colour, own_size = _ringing(starts[0], residual, u, direct)
-    if ringing > RINGING:
-        # What the residual's own colour hides is lost, but noise at the forces is not taken for a misfit.
-        coefficients, size = own_colour, np.maximum(own_size, ROUNDING * np.nanstd(y, axis=0))
-    else:
-        ringing = 1.0
+    ringing = None
     while True:
         data = Whitened.of(y, u, coefficients, size, direct=direct)
         left = _left(residual, jacobian, coefficients, size)
         own = fit_rival(starts[0], data)
-        judged = [_judge(own, data, left, parameters, 1, ringing)]
+        judged = [_judge(own, data, left, parameters, 1, ringing or 1.0)]
         if data.count > 4 * own.parameters:
             extra = starts[1:] or [np.concatenate([own.poles, new[None]]) for new in further_modes(own, data)]
             further = min((fit_rival(poles, data) for poles in extra), key=lambda fit: fit.cost)
-            judged.append(_judge(further, data, left, parameters, CELLS, ringing))
+            judged.append(_judge(further, data, left, parameters, CELLS, ringing or 1.0))
         best = min(judged, key=lambda found: found[0])
         rest = judged[-1][2].residual.T
+        if ringing is None:
+            explained = 1.0 - judged[-1][2].cost / max(left, 1e-300)
+            ringing = _ringing(poles_of(A), residual, u, direct) if explained < MOST else 1.0
+            if ringing > RINGING:
+                # What the residual's own colour hides is lost, but noise at the forces is not taken for a misfit.
+                coefficients, size = _colour(residual)
+                continue
+            ringing = 1.0
         colours = [ar_by_bic(row) for row in rest.T] if len(coefficients[0]) == 1 else []
         if all(len(c) == 1 for c in colours):
             break
@@ -125,27 +131,32 @@ def _judge(
     return min(1.0, looks * float(scipy.stats.f.sf(statistic, free, rest))), float(statistic), fit
 
 
-def _ringing(poles, residual, u, direct: bool) -> tuple[float, list, np.ndarray]:
-    """How much more of the residual, its own colour taken out, is explained by inputs that have nothing to do with it
-    than would be of white noise; the colour, and the size of its innovations, per output.
-
-    The record's own inputs, shifted in time, drive the model's modes. Noise at the forces rings at the same modes and
-    passes for a response to anything; white noise and coloured noise of sensors give 1.
-    """
+def _colour(residual) -> tuple[list, np.ndarray]:
+    """AR coefficients of every output's residual, and the size of its innovations."""
     e = np.nan_to_num(residual - np.nanmean(residual, axis=0))
     colour = [ar_by_bic(x) for x in e.T]
     colour = [c if len(c) > 1 else np.array([1.0, 0.0]) for c in colour]
     size = np.array([np.std(lfilter(c, [1.0], x)) for c, x in zip(colour, e.T)])
-    size = np.where(size > 0, size, 1.0)
-    measured = np.where(np.isfinite(residual), e, np.nan)
+    return colour, np.where(size > 0, size, 1.0)
+
+
+def _ringing(poles, residual, u, direct: bool) -> float:
+    """How much more of a residual, its own colour taken out, is explained by inputs that have nothing to do
+    with it than would be of white noise.
+
+    The record's own inputs, shifted in time, drive the model's modes. Noise at the forces rings at the same modes and
+    passes for a response to anything; white noise and coloured noise of sensors give 1.
+    """
+    colour, size = _colour(residual)
+    centred = residual - np.nanmean(residual, axis=0)
     shares = []
     for part in SHIFTS:
-        data = Whitened.of(measured, np.roll(u, int(part * len(u)), axis=0), colour, size, direct=direct)
+        data = Whitened.of(centred, np.roll(u, int(part * len(u)), axis=0), colour, size, direct=direct)
         placebo = at_poles(poles, data)
         taken = float(np.sum(data.y**2)) - placebo.cost
         noise = placebo.cost / max(data.count - placebo.parameters, 1.0)
         shares.append(taken / max(noise, 1e-300) / max(placebo.parameters - poles.size, 1))
-    return float(np.mean(shares)), colour, size
+    return float(np.mean(shares))
 
 
 def ar_by_bic(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " coefficients"]:
