@@ -97,7 +97,9 @@ def _card(
     seen = "on held-out data" if gain and gain["held_out"] else "on the data of the fit"
     if index:
         seen += ", beyond the cause above" if index == 1 else ", beyond the causes above"
-    kind = "" if law is None else KINDS["pair" if " and " in place_of(finding["location"], names) else law.places]
+    kind = (
+        "" if law is None else KINDS.get("pair" if " and " in place_of(finding["location"], names) else law.places, "")
+    )
     return (
         Fact("Cause", title_of(finding["effect"], "").capitalize(), f"or {others}" if others else finding["status"]),
         Fact("Place", place_of(finding["location"], names).removeprefix("at ") or "–", kind),
@@ -138,6 +140,8 @@ def _left(document: dict) -> tuple[str, str]:
     remaining = document["remaining"]
     if remaining["depends_on"]:
         return "more than noise", f"depends on {', '.join(remaining['depends_on'])}"
+    if document["verdict"] in ("unexplained", "partly"):
+        return "more than noise", "no law of the catalogue explains it"
     if remaining["white"]:
         return "noise alone", "white: what came before does not tell what comes"
     if any(one["effect"] == "process_noise" for one in document["findings"]):
