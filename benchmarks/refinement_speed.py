@@ -30,7 +30,7 @@ jax.config.update("jax_enable_x64", True)
 import independent as data  # noqa: E402
 
 import jaxgray  # noqa: E402
-from jaxgray.identification.conic import join, part, sensitivities  # noqa: E402
+from jaxgray.identification.normal import join, part, sensitivities  # noqa: E402
 from jaxgray.identification.prediction import Batch, free_run  # noqa: E402
 from jaxgray.identification.preparation import prepare  # noqa: E402
 from jaxgray.identification.refine import refine  # noqa: E402

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..identification.compression import padded_samples
-from ..identification.conic import join, part
+from ..identification.normal import join, part
 from ..identification.physical import Scaling
 from ..identification.structure import Structure
 from ..mechanics.drives import AbstractDrive

@@ -15,9 +15,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..numerics.lifting import SHORT_BLOCK, free_response, respond
 from ..numerics.linear_algebra import triangle_vector
+from .cholesky import pack, unpack
 from .conic import DECREMENT
+from .normal import FLOOR
 from .prediction import Setting
-from .refine import FLOOR, LIFTS, pack, setting_dofs, unpack
+from .refine import LIFTS, setting_dofs
 from .structure import Structure
 
 MAX_STEPS = 40

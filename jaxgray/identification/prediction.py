@@ -116,6 +116,17 @@ def prediction_errors(
     **Returns:** one error per output sample.
     """
     residual = (batch.y - free_run(system, batch, nuisance)) * batch.kept
+    return weighed(residual, system, batch, nuisance, whitening)
+
+
+def weighed(
+    residual: Float[Array, "records samples outputs"],
+    system: StateSpace,
+    batch: Batch,
+    nuisance: Nuisance,
+    whitening: Float[Array, "outputs outputs"],
+) -> Float[Array, "records samples outputs"]:
+    """The linear map from residuals of the free run, zero where a sample is missing, to prediction errors."""
     if nuisance.noise is None:
         return jnp.einsum("rnp,op->rno", residual, whitening) * batch.kept
     gain, covariance = noise_model(system, nuisance.noise, system.B.shape[1])

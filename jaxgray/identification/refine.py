@@ -14,14 +14,12 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
-from ..numerics.linear_algebra import triangle
 from ..numerics.outcomes import RESULTS, ComputationError
-from .conic import Normal, conic_steps, normal_equations
-from .prediction import Batch, Nuisance, Setting, free_run, prediction_errors
+from .cholesky import NEAR, NEAR_EDGE, at_start, cholesky_steps, pack, unpack
+from .conic import conic_steps
+from .normal import FLOOR, Normal, products
+from .prediction import Batch, Nuisance, Setting, prediction_errors
 from .structure import Structure
-
-FLOOR = 1e-12
-"""Smallest residual, relative to the outputs, that the weights resolve: below it is rounding."""
 
 LIFTS = (1e-3, 1e-1)
 """How far a start is lifted off the edge, relative to its largest eigenvalue; the second only where it lies there:
@@ -54,32 +52,6 @@ class Refinement(eqx.Module):
     steps: tuple[int, int]
     decrement: float
     result: RESULTS
-
-
-def pack(blocks: list[Array], scales: list[Array], logarithmic: tuple[bool, ...]) -> list[Array]:
-    """Cholesky factors as vectors, upper triangle by columns of Lᵀ, in units of √scale.
-
-    The mass has the logarithm of its diagonal, so that it can never become singular.
-    """
-    vectors = []
-    for block, scale, as_logarithm in zip(blocks, scales, logarithmic):
-        lower = jnp.linalg.cholesky(block / scale)
-        rows, columns = triangle(block.shape[0])
-        entries = lower.T[rows, columns]
-        vectors.append(jnp.where((rows == columns) & as_logarithm, jnp.log(jnp.abs(entries)), entries))
-    return vectors
-
-
-def unpack(vectors: list[Array], scales: list[Array], logarithmic: tuple[bool, ...], sizes) -> list[Array]:
-    """Inverse of `pack`."""
-    blocks = []
-    for vector, scale, as_logarithm, n in zip(vectors, scales, logarithmic, sizes):
-        rows, columns = triangle(n)
-        diagonal = (rows == columns) & as_logarithm
-        entries = jnp.where(diagonal, jnp.exp(jnp.where(diagonal, vector, 0.0)), vector)
-        upper = jnp.zeros((n, n)).at[rows, columns].set(entries)
-        blocks.append(upper.T @ upper * scale)
-    return blocks
 
 
 @eqx.filter_jit
@@ -128,6 +100,16 @@ def levenberg_marquardt(
     return unpack(vectors, scales, logarithmic, sizes), found, solution.stats["num_steps"]
 
 
+@eqx.filter_jit
+def _blocks(structure: Structure, matrices: tuple[Array, Array, Array], lift: Float[Array, ""]) -> list[Array]:
+    return structure.blocks(*matrices, lift=lift)
+
+
+@eqx.filter_jit
+def _matrices(structure: Structure, blocks: list[Array], dofs: int) -> tuple[Array, Array, Array]:
+    return structure.matrices(blocks, dofs)
+
+
 def on_edge(blocks: list[Array]) -> bool:
     """Whether any block is closer to singular than the first lift."""
     values = [np.linalg.eigvalsh(np.asarray(block)) for block in blocks]
@@ -139,42 +121,15 @@ def setting_dofs(setting: Setting) -> int:
     return len(setting.measured)
 
 
-@eqx.filter_jit
-def residual_whitening(
-    blocks: list[Array],
-    nuisance: Nuisance,
-    batch: Batch,
-    setting: Setting,
-    structure: Structure,
-    correlated: bool,
-) -> Float[Array, "outputs outputs"]:
-    """Lower triangular W with W Σ Wᵀ = I for the covariance Σ of the free-run residual.
-
-    Reweighting with it until it rests minimises the determinant of Σ, the maximum likelihood for Gaussian
-    output noise. With missing samples the outputs are weighted one by one.
-    """
-    system = setting.system(*structure.matrices(blocks, setting_dofs(setting)))
-    quiet = eqx.tree_at(lambda n: n.noise, nuisance, None, is_leaf=lambda x: x is None)
-    residual = (batch.y - free_run(system, batch, quiet)) * batch.kept
-    flat = residual.reshape(-1, residual.shape[2])
-    count = jnp.maximum(jnp.sum(batch.kept, axis=(0, 1)), 1.0)
-    covariance = flat.T @ flat / jnp.sqrt(count[:, None] * count[None, :])
-    if not correlated:
-        covariance = jnp.diag(jnp.diag(covariance))
-    covariance = covariance + FLOOR**2 * jnp.eye(covariance.shape[0])
-    lower = jnp.linalg.cholesky(covariance)
-    return jax.scipy.linalg.solve_triangular(lower, jnp.eye(lower.shape[0]), lower=True)
-
-
 def begin_nuisance(batch: Batch, setting: Setting, *, offset: bool, innovations: bool) -> Nuisance:
     """Nuisance parameters to start from: at rest, no offset, little force noise."""
     records, _, outputs = batch.y.shape
     states = 2 * setting_dofs(setting)
     inputs = batch.u.shape[2]
-    noise = jnp.concatenate([jnp.full(inputs, INITIAL_FORCE_NOISE), jnp.zeros(outputs - 1)])
+    noise = np.concatenate([np.full(inputs, INITIAL_FORCE_NOISE), np.zeros(outputs - 1)])
     return Nuisance(
-        jnp.zeros((records, states)),
-        jnp.zeros((records, outputs)) if offset else None,
+        np.zeros((records, states)),
+        np.zeros((records, outputs)) if offset else None,
         noise if innovations else None,
     )
 
@@ -189,15 +144,13 @@ def refine(
     innovations: bool = False,
     fixed: Bool[np.ndarray, " entries"] | None = None,
     deviation: Float[Array, " outputs"] | None = None,
-    rounds: int = 2,
 ) -> Refinement:
     """Refine M, D, K by prediction error, maximum likelihood over the outputs.
 
     **Arguments:** `start`: scaled M, D, K; `batch`; `setting`; `structure`: what is free, default all; `offset`:
     estimate an output offset of every record; `innovations`: noise enters at the forces too; `fixed`: entries of the
     stacked block vectors that keep their start value; `deviation`: mean square residual of the start per output, to
-    weigh with at first; `rounds`: how often the weights are renewed before the conic iteration (which renews
-    them at every step).
+    weigh with at first.
 
     **Returns:** a `Refinement`.
 
@@ -207,47 +160,62 @@ def refine(
     """
     structure = Structure() if structure is None else structure
     outputs = batch.y.shape[2]
-    correlated = bool(jnp.all((jnp.sum(batch.kept, axis=2) % outputs) == 0))
+    kept = np.asarray(batch.kept)
+    correlated = bool(np.all(np.sum(kept, axis=2) % outputs == 0))
+    owners = structure.owners(setting_dofs(setting))
     nuisance = begin_nuisance(batch, setting, offset=offset, innovations=False)
-    if deviation is None or not bool(jnp.all(jnp.isfinite(deviation))):
-        deviation = jnp.ones(outputs)
-    whitening = jnp.diag(1 / jnp.sqrt(jnp.maximum(deviation, FLOOR**2)))
-    free_start = fixed is None or not np.any(fixed)
-    taken = 0
-    if not free_start:
-        blocks = structure.blocks(*start, lift=0.0)
+    deviation = np.ones(outputs) if deviation is None else np.asarray(deviation)
+    if not np.all(np.isfinite(deviation)):
+        deviation = np.ones(outputs)
+    whitening = np.diag(1 / np.sqrt(np.maximum(deviation, FLOOR**2)))
+
+    def evaluate(blocks, nuisance):
+        return jax.device_get(products(blocks, nuisance, batch, setting, structure))
+
+    taken, first, samples = 0, None, float(np.sum(kept))
+    if fixed is not None and np.any(fixed):
+        blocks = _blocks(structure, start, np.float64(0.0))
     else:
-        best = None
-        for lift in LIFTS if on_edge(structure.blocks(*start, lift=0.0)) else LIFTS[:1]:
-            here, around, W = structure.blocks(*start, lift=lift), nuisance, whitening
-            for _ in range(rounds):
-                here, around, steps = levenberg_marquardt(here, around, W, batch, setting, structure)
-                W = residual_whitening(here, around, batch, setting, structure, correlated)
-                taken += int(steps)
-            likelihood = float(jnp.sum(jnp.log(jnp.diag(W))))
-            if np.isfinite(likelihood) and (best is None or likelihood > best[0]):
-                best = likelihood, here, around, W
-        if best is None:
-            best = -np.inf, structure.blocks(*start, lift=LIFTS[-1]), nuisance, whitening
-        _, blocks, nuisance, whitening = best
+        begun = _blocks(structure, start, np.float64(0.0))
+        edge = on_edge(begun)
+        # At the edge the start itself may be better than what Cholesky factors make of it.
+        ends = [at_start(begun, nuisance, whitening, evaluate, correlated=correlated)] if edge else []
+        for lift in LIFTS if edge else LIFTS[:1]:
+            lifted = _blocks(structure, start, np.float64(lift))
+            end = cholesky_steps(
+                lifted,
+                nuisance,
+                whitening,
+                evaluate,
+                owners=owners,
+                correlated=correlated,
+                count=samples,
+                near=NEAR_EDGE if edge else NEAR,
+            )
+            ends.append(end)
+        taken = sum(end.steps for end in ends)
+        best = min(ends, key=lambda end: end.cost)
+        blocks, nuisance, whitening, first = best.blocks, best.nuisance, best.whitening, best.products
         if innovations:
             noisy = begin_nuisance(batch, setting, offset=offset, innovations=True)
-            nuisance = eqx.tree_at(lambda n: n.noise, nuisance, noisy.noise, is_leaf=lambda x: x is None)
+            nuisance = Nuisance(nuisance.x0, nuisance.offset, noisy.noise)
             blocks, nuisance, steps = levenberg_marquardt(blocks, nuisance, whitening, batch, setting, structure)
-            taken += int(steps)
+            taken, first = taken + int(steps), None
 
-    def reweigh(blocks, nuisance):
-        return residual_whitening(blocks, nuisance, batch, setting, structure, correlated)
-
-    def equations(blocks, nuisance, whitening):
-        return normal_equations(blocks, nuisance, whitening, batch, setting, structure)
-
-    samples = float(jnp.sum(batch.kept))
-    owners = structure.owners(setting_dofs(setting))
-    end = conic_steps(blocks, nuisance, whitening, equations, reweigh, owners=owners, count=samples, fixed=fixed)
+    end = conic_steps(
+        blocks,
+        nuisance,
+        whitening,
+        evaluate,
+        owners=owners,
+        correlated=correlated,
+        count=samples,
+        first=first,
+        fixed=fixed,
+    )
     if not np.isfinite(end.normal.cost):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement")
-    M, D, K = structure.matrices(end.blocks, setting_dofs(setting))
+    M, D, K = _matrices(structure, end.blocks, setting_dofs(setting))
     count = samples - end.normal.information.shape[0]
     return Refinement(
         M,
@@ -257,7 +225,7 @@ def refine(
         end.nuisance,
         end.whitening,
         end.normal,
-        jnp.asarray(end.normal.cost / max(count, 1.0)),
+        end.normal.cost / max(count, 1.0),
         (taken, end.steps),
         end.decrement,
         RESULTS.successful if end.converged else RESULTS.refinement_diverged,

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..numerics.positive import PositiveLeastSquares, ProjectedGradientSolver
-from .conic import MASS_FLOOR, join, normal_equations, part
+from .conic import MASS_FLOOR
+from .normal import join, part, products
 from .prediction import Batch, Nuisance, Setting
-from .refine import begin_nuisance, residual_whitening
+from .refine import begin_nuisance
 from .structure import Structure
 
 RIDGE = 1e-12
@@ -42,18 +43,19 @@ def gauss_newton(
     def step(carry, first):
         z, nuisance = carry
         blocks = part(z, sizes)
-        renewed = residual_whitening(blocks, nuisance, batch, setting, structure, True)
-        whitening = jnp.where(first, identity, renewed)
-        normal = normal_equations(blocks, nuisance, whitening, batch, setting, structure)
+        found = products(blocks, nuisance, batch, setting, structure)
+        lower = jnp.linalg.cholesky(found.covariance(True))
+        renewed = jax.scipy.linalg.solve_triangular(lower, identity, lower=True)
+        normal = found.normal(jnp.where(first, identity, renewed))
         H, g = normal.information, normal.gradient
         inner = _ridged(H[entries:, entries:])
         across = jnp.linalg.solve(inner, H[entries:, :entries]).T
         reduced = (H[:entries, :entries] - across @ H[entries:, :entries]) * unit[:, None] * unit[None, :]
         slope = (g[:entries] - across @ g[entries:]) * unit
         reduced, here = _ridged((reduced + reduced.T) / 2), z / unit
-        found = solver(PositiveLeastSquares(reduced, slope - reduced @ here, floors, sizes))
+        best = solver(PositiveLeastSquares(reduced, slope - reduced @ here, floors, sizes))
         # First states and offsets enter linearly: their best values come before the first weights.
-        dz = jnp.where(first, 0.0, (found - here) * unit)
+        dz = jnp.where(first, 0.0, (best - here) * unit)
         dn = -jnp.linalg.solve(inner, g[entries:] + H[entries:, :entries] @ dz)
         states = quiet.x0.size
         x0 = nuisance.x0 + dn[:states].reshape(quiet.x0.shape)

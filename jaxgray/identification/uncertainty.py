@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.linear_algebra import from_triangle, triangle, triangle_vector
-from .conic import join, part, pseudo_inverse
+from .conic import pseudo_inverse
+from .normal import join, part
 from .physical import Scaling
 from .refine import Refinement
 from .structure import Structure

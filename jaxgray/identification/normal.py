@@ -1,0 +1,151 @@
+"""Normal equations of the prediction error in the entries of the blocks, first states and offsets.
+
+One compiled function of the record serves every host-side optimiser: it returns inner products of errors and
+sensitivities for every pair of outputs, from which the normal equations follow for any weights.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg as sl
+from jaxtyping import Array, Float
+
+from ..numerics.lifting import free_response
+from ..numerics.linear_algebra import duplication, symmetric_vector
+from .prediction import Batch, Nuisance, Setting, prediction_errors, weighed
+from .structure import Structure
+
+FLOOR = 1e-12
+"""Smallest residual, relative to the outputs, that the weights resolve: below it is rounding."""
+
+
+SHRINKAGE = 1e-3
+"""Taken off the correlation of two outputs' errors: what a wrong model leaves may be collinear, noise is not."""
+
+
+class Normal(eqx.Module):
+    """Normal equations at a point, in the scaled block vectors followed by the nuisance parameters.
+
+    `cost`: sum of squared whitened errors; `gradient` = Jᵀe; `information` = JᵀJ.
+    """
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, " parameters"]
+    information: Float[Array, "parameters parameters"]
+
+
+class Products(eqx.Module):
+    """Inner products over the samples, output by output: sensitivities first, the error last.
+
+    `table[o, p]`: products of the rows of outputs o and p; `counts`: samples kept of each output.
+    """
+
+    table: Float[Array, "outputs outputs columns columns"]
+    counts: Float[Array, " outputs"]
+
+    def normal(self, whitening: Float[Array, "outputs outputs"]) -> Normal:
+        """Normal equations with the errors whitened."""
+        weights = whitening.T @ whitening
+        table = (weights[:, :, None, None] * self.table).sum((0, 1))
+        return Normal(table[-1, -1], table[:-1, -1], table[:-1, :-1])
+
+    def covariance(self, correlated: bool) -> Float[Array, "outputs outputs"]:
+        """Mean products of the errors; `correlated`: also of different outputs."""
+        table = self.table[:, :, -1, -1] / (self.counts[:, None] * self.counts[None, :]) ** 0.5
+        eye = np.eye(len(self.counts))
+        return (table if correlated else table * eye) * (1 - SHRINKAGE * (1 - eye)) + FLOOR**2 * eye
+
+    @property
+    def exact(self) -> bool:
+        """Whether what is left of every output is rounding (on the host)."""
+        return bool(np.all(np.diagonal(self.covariance(False)) < 2 * FLOOR**2))
+
+    def whitening(self, correlated: bool) -> np.ndarray:
+        """Lower triangular W with W Σ Wᵀ = I for the covariance Σ of the errors, on the host.
+
+        Reweighting with it until it rests minimises the determinant of Σ, the maximum likelihood for Gaussian
+        output noise. With missing samples the outputs are weighted one by one. Not a number where Σ is.
+        """
+        covariance = np.asarray(self.covariance(correlated))
+        if not np.all(np.isfinite(covariance)):
+            return np.full_like(covariance, np.nan)
+        lower = np.linalg.cholesky(covariance)
+        return sl.solve_triangular(lower, np.eye(len(lower)), lower=True)
+
+
+def join(blocks: list[Array]) -> Float[Array, " entries"]:
+    """Blocks as one vector of isometric triangle vectors; NumPy stays NumPy."""
+    vectors = [symmetric_vector(block) for block in blocks]
+    return (np if all(isinstance(v, np.ndarray) for v in vectors) else jnp).concatenate(vectors)
+
+
+def part(vector: Float[Array, " entries"], sizes: tuple[int, ...]) -> list[Array]:
+    """Inverse of `join`."""
+    ends = np.cumsum([n * (n + 1) // 2 for n in sizes])
+    pieces = [vector[end - n * (n + 1) // 2 : end] for n, end in zip(sizes, ends)]
+    return [(duplication(n) @ piece).reshape(n, n) for n, piece in zip(sizes, pieces)]
+
+
+def without_noise(nuisance: Nuisance) -> Nuisance:
+    """First states and offsets alone."""
+    return Nuisance(nuisance.x0, nuisance.offset, None)
+
+
+def moved(nuisance: Nuisance, step: Float[np.ndarray, " parameters"]) -> Nuisance:
+    """First states and offsets after a step, on the host."""
+    x0 = np.asarray(nuisance.x0)
+    offset = nuisance.offset
+    if offset is not None:
+        offset = np.asarray(offset) + step[x0.size :].reshape(offset.shape)
+    return Nuisance(x0 + step[: x0.size].reshape(x0.shape), offset, nuisance.noise)
+
+
+@eqx.filter_jit
+def sensitivities(
+    blocks: list[Array],
+    nuisance: Nuisance,
+    whitening: Float[Array, "outputs outputs"],
+    batch: Batch,
+    setting: Setting,
+    structure: Structure,
+) -> tuple[Float[Array, "records samples outputs"], Float[Array, "records samples outputs parameters"]]:
+    """Whitened prediction errors, and their Jacobian by the entries of the blocks, first states and offsets.
+
+    The noise parameters stay as they are: their information is, to first order, apart from that of the model.
+    """
+    sizes = tuple(block.shape[0] for block in blocks)
+    dofs = len(setting.measured)
+
+    def errors(vector):
+        system = setting.system(*structure.matrices(part(vector, sizes), dofs))
+        e = prediction_errors(system, batch, nuisance, whitening)
+        return e, (e, system)
+
+    J, (e, system) = jax.jacfwd(errors, has_aux=True)(join(blocks))
+    # First states and offsets enter linearly, every record's own.
+    records, samples, outputs = e.shape
+    own = [free_response(system.A, system.C, samples)]
+    if nuisance.offset is not None:
+        own.append(jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs)))
+    eye = jnp.eye(records)
+    for columns in own:
+        rows = -columns * batch.kept[..., None]
+        rows = jax.vmap(lambda r: weighed(r, system, batch, nuisance, whitening), -1, -1)(rows)
+        rows = rows[..., None, :] * eye[:, None, None, :, None]
+        J = jnp.concatenate([J, rows.reshape(*e.shape, -1)], axis=3)
+    return e, J
+
+
+def products(blocks: list[Array], nuisance: Nuisance, batch: Batch, setting: Setting, structure: Structure) -> Products:
+    """Inner products of errors and sensitivities at a point; in the innovations form the errors are white already."""
+    return _gram(*sensitivities(blocks, nuisance, np.eye(batch.y.shape[2]), batch, setting, structure), batch.kept)
+
+
+@jax.jit
+def _gram(e, J, kept):
+    rows = jnp.concatenate([J, e[..., None]], axis=3)
+    outputs, columns = rows.shape[2:]
+    flat = rows.reshape(-1, outputs * columns)
+    table = (flat.T @ flat).reshape(outputs, columns, outputs, columns).transpose(0, 2, 1, 3)
+    return Products(table, jnp.maximum(jnp.sum(kept, axis=(0, 1)), 1.0))
