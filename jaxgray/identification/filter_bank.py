@@ -14,11 +14,12 @@ from jaxtyping import Array, Float
 
 from ..numerics.lifting import LiftedSystem, lift
 from ..numerics.linear_algebra import orthonormal_basis
+from ..numerics.namespace import namespace
 
 
 def pole(time_constant: Float[Array, ""], sampling_time: float) -> Float[Array, ""]:
     """Discrete filter pole a = exp(−h/τ)."""
-    return jnp.exp(-sampling_time / time_constant)
+    return namespace(time_constant, sampling_time).exp(-sampling_time / time_constant)
 
 
 def cascade(a: Float[Array, ""], orders: int) -> tuple[Float[Array, "orders orders"], Float[Array, " orders"]]:

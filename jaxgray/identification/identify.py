@@ -1,6 +1,6 @@
 """From records to a physical model: the pipeline, nothing else."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from ..mechanics.drives import Force
@@ -107,7 +107,7 @@ def identify(
         )
     held, known = fixed_entries(entries, form, scaling)
     setting = Setting(
-        drive.scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time),
+        jax.device_get(drive).scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time),
         records[0].measured,
         records[0].hold,
     )
@@ -123,12 +123,10 @@ def identify(
         starts = starts_of(complete, setting, scaling.sampling_time, options, progress)
 
     def physical(start: Start) -> tuple:
-        M, D, K = (np.asarray(X) for X in nearest_physical(start.matrices))
+        M, D, K = nearest_physical(start.matrices)
         if normalised:
             M, D, K = (X * known["mass"][0, 0] / M[0, 0] for X in (M, D, K))
-        return tuple(
-            jnp.asarray(with_known(X, known[name])) for X, name in ((M, "mass"), (D, "damping"), (K, "stiffness"))
-        )
+        return tuple(with_known(X, known[name]) for X, name in ((M, "mass"), (D, "damping"), (K, "stiffness")))
 
     start = starts[0]
     M, D, K = physical(start)
@@ -158,13 +156,13 @@ def identify(
                 offset=bool(values[0] > 1e-6 * values[-1]),
                 innovations=noise == "innovations",
                 fixed=held,
-                deviation=jnp.asarray(start.deviation),
+                deviation=start.deviation,
             )
 
         start, refinement = _best_refined(starts, refined, setting, signals, progress)
         M, D, K = refinement.mass, refinement.damping, refinement.stiffness
     progress.stage("assessing")
-    matrices = [np.array(X) for X in scaling.matrices_out(M, D, K)]
+    matrices = [np.array(X) for X in scaling.matrices_out(*jax.device_get((M, D, K)))]
     for matrix, name in zip(matrices, ("mass", "damping", "stiffness")):
         for (owner, r, c), value in entries.items():
             if owner == name:
@@ -239,7 +237,7 @@ def _start_options(records, time_constants, block_rows, weight, map, input_matri
             stage="subspace start",
             detail=f"{longest.samples} samples for {max(rows)} block rows, which need more than {columns}",
         )
-    known_mass = jnp.asarray(mass) if np.all(np.isfinite(mass)) else None
+    known_mass = mass if np.all(np.isfinite(mass)) else None
     return StartOptions(taus, rows, weight, map, input_matrix_from, known_mass)
 
 
@@ -260,7 +258,7 @@ def _best_refined(starts: list[Start], refined, setting: Setting, signals: list[
         if len(starts) == 1:
             return start, end
         left = total_deviation((end.mass, end.damping, end.stiffness), setting, signals)
-        reached = float(score(jnp.asarray(left)))
+        reached = float(score(left))
         if best is None or reached > best[0]:
             best = reached, start, end
         if np.all(left < NEAR):

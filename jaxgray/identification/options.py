@@ -3,7 +3,7 @@
 import difflib
 import re
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from ..mechanics.drives import AbstractDrive, BaseAcceleration, BaseDisplacement, Force
@@ -77,7 +77,7 @@ def drive_of(record: Record, excitation, input_map, relative: bool) -> AbstractD
     if isinstance(input_map, str):
         matrix = parse_input_map(input_map, record)
     elif input_map is not None:
-        matrix = np.atleast_2d(np.asarray(input_map, dtype=float))
+        matrix = np.atleast_2d(np.array(input_map, dtype=float))
     elif excitation == "force":
         if record.inputs > record.outputs:
             raise ValueError(f"{record.inputs} inputs act on {record.outputs} coordinates; say where with input_map.")
@@ -90,13 +90,13 @@ def drive_of(record: Record, excitation, input_map, relative: bool) -> AbstractD
             f"{record.inputs} inputs."
         )
     if excitation == "force":
-        drive = Force(jnp.asarray(matrix))
+        drive = Force(jax.device_put(matrix))
     else:
         accelerated = excitation == "base-acceleration" or (
             excitation == "base" and all(unit.strip() in _ACCELERATION_UNITS for unit in record.input_units)
         )
         kind = BaseAcceleration if accelerated else BaseDisplacement
-        drive = kind(jnp.asarray(matrix), relative)
+        drive = kind(jax.device_put(matrix), relative)
     drive.check(record.outputs, record.measured)
     return drive
 

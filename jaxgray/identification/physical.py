@@ -4,12 +4,12 @@ Everything is in scaled coordinates with time counted in samples; `Scaling` lead
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..mechanics.drives import ORDER
 from ..numerics.linear_algebra import duplication, from_symmetric_vector, symmetric_vector
+from ..numerics.namespace import namespace
 from ..numerics.positive import AbstractPositiveSolver, PositiveLeastSquares
 from .input_matrix import InputFit
 from .realization import Realization
@@ -34,7 +34,7 @@ class Scaling(eqx.Module):
     def of(cls, inputs, outputs, sampling_time, measured) -> "Scaling":
         """Scaling from the sizes of the channels and what the outputs measure."""
         order = np.array([ORDER[kind] for kind in measured])
-        return cls(jnp.asarray(inputs), jnp.asarray(outputs), outputs * sampling_time**order, sampling_time)
+        return cls(inputs, outputs, outputs * sampling_time**order, sampling_time)
 
     def input_map(self, E: Float[Array, "dofs inputs"]) -> Float[Array, "dofs inputs"]:
         """E in scaled coordinates."""
@@ -53,8 +53,9 @@ class Scaling(eqx.Module):
 
 def input_matrix(fit: InputFit) -> Float[Array, " entries"]:
     """vec(B₂) (row by row) without constraints."""
-    Q, R = jnp.linalg.qr(fit.factor)
-    return jnp.linalg.solve(R, Q.T @ fit.target)
+    xp = namespace(fit.factor)
+    Q, R = xp.linalg.qr(fit.factor)
+    return xp.linalg.solve(R, Q.T @ fit.target)
 
 
 def from_inverse_mass(
@@ -71,28 +72,29 @@ def from_inverse_mass(
 
     **Reference:** Olofsson et al., equations (22) to (24).
     """
+    xp = namespace(realization.A21, fit.factor, E)
     dofs = E.shape[0]
     basis = duplication(dofs)
     # vec(X E) row by row is (I ⊗ Eᵀ) vec(X).
-    columns = fit.factor @ jnp.kron(jnp.eye(dofs), E.T) @ basis
-    scale = jnp.linalg.norm(columns) / jnp.sqrt(columns.shape[1])
+    columns = fit.factor @ xp.kron(xp.eye(dofs), E.T) @ basis
+    scale = xp.linalg.norm(columns) / xp.sqrt(columns.shape[1])
     problem = PositiveLeastSquares.from_residual(columns / scale, fit.target, (dofs,), (0.0,))
-    size = jnp.abs(jnp.trace(from_symmetric_vector(problem.unconstrained()))) / dofs
+    size = xp.abs(xp.trace(from_symmetric_vector(problem.unconstrained()))) / dofs
     problem = eqx.tree_at(lambda p: p.floors, problem, FLOOR * size[None])
     X = from_symmetric_vector(solver(problem)) / scale
 
     # Whitened by X/‖X‖: the problems for K and D have the condition of X, not its size.
-    size = jnp.linalg.norm(X)
-    table = jnp.kron(X / size, jnp.eye(dofs)) @ basis
+    size = xp.linalg.norm(X)
+    table = xp.kron(X / size, xp.eye(dofs)) @ basis
 
     def restoring(target):
-        norm = jnp.linalg.norm(target)
-        norm = jnp.where(norm > 0, norm, 1.0)
+        norm = xp.linalg.norm(target)
+        norm = xp.where(norm > 0, norm, 1.0)
         found = solver(PositiveLeastSquares.from_residual(table, -target.ravel() / norm, (dofs,), (0.0,)))
         return from_symmetric_vector(found) * norm / size
 
-    eye = jnp.eye(dofs)
-    return jnp.linalg.solve(X, eye), restoring(realization.A22), restoring(realization.A21)
+    eye = xp.eye(dofs)
+    return xp.linalg.solve(X, eye), restoring(realization.A22), restoring(realization.A21)
 
 
 def jointly(
@@ -113,40 +115,41 @@ def jointly(
     where the inputs do not reach every coordinate.
     """
     A21, A22 = realization.A21, realization.A22
+    xp = namespace(A21, *(input_equation or ()), mass)
     dofs = A21.shape[0]
-    rate = jnp.sqrt(jnp.linalg.norm(A21, ord=2))
+    rate = xp.sqrt(xp.linalg.norm(A21, ord=2))
     A21, A22 = A21 / rate**2, A22 / rate
-    size21, size22 = jnp.linalg.norm(A21), jnp.linalg.norm(A22)
-    size22 = jnp.where(size22 > 0, size22, 1.0)
+    size21, size22 = xp.linalg.norm(A21), xp.linalg.norm(A22)
+    size22 = xp.where(size22 > 0, size22, 1.0)
     basis = duplication(dofs)
-    eye = jnp.eye(dofs)
-    none = jnp.zeros((dofs**2, basis.shape[1]))
+    eye = xp.eye(dofs)
+    none = xp.zeros((dofs**2, basis.shape[1]))
 
     def times(A):
         # vec(M A) row by row is (I ⊗ Aᵀ) vec(M).
-        return jnp.kron(eye, A.T) @ basis
+        return xp.kron(eye, A.T) @ basis
 
     tables = [
-        jnp.hstack([times(A21), none, basis]) / size21,
-        jnp.hstack([times(A22), basis, none]) / size22,
+        xp.hstack([times(A21), none, basis]) / size21,
+        xp.hstack([times(A22), basis, none]) / size22,
     ]
-    targets = [jnp.zeros(2 * dofs**2)]
+    targets = [xp.zeros(2 * dofs**2)]
     unit = 1.0
     if input_equation is not None:
         B2 = input_equation[0] / rate**2
-        unit = jnp.linalg.norm(input_equation[1]) / jnp.linalg.norm(B2)
+        unit = xp.linalg.norm(input_equation[1]) / xp.linalg.norm(B2)
         table = times(B2)
-        tables.append(jnp.pad(table, ((0, 0), (0, 2 * basis.shape[1]))) / jnp.linalg.norm(B2))
-        targets.append((input_equation[1] / unit).ravel() / jnp.linalg.norm(B2))
+        tables.append(xp.pad(table, ((0, 0), (0, 2 * basis.shape[1]))) / xp.linalg.norm(B2))
+        targets.append((input_equation[1] / unit).ravel() / xp.linalg.norm(B2))
     elif mass is None:
-        row = jnp.concatenate([symmetric_vector(eye) / dofs, jnp.zeros(2 * basis.shape[1])])
+        row = xp.concatenate([symmetric_vector(eye) / dofs, xp.zeros(2 * basis.shape[1])])
         tables.append(row[None])
-        targets.append(jnp.ones(1))
-    table, target = jnp.concatenate(tables), jnp.concatenate(targets)
-    singular = jnp.linalg.svd(table, compute_uv=False)
+        targets.append(xp.ones(1))
+    table, target = xp.concatenate(tables), xp.concatenate(targets)
+    singular = xp.linalg.svd(table, compute_uv=False)
     entries = basis.shape[1]
     if mass is None:
-        floors = jnp.array([FLOOR, 0.0, 0.0])
+        floors = xp.array([FLOOR, 0.0, 0.0])
         found = solver(PositiveLeastSquares.from_residual(table, target, (dofs,) * 3, floors))
     else:
         known = symmetric_vector(mass * rate**2)
@@ -154,9 +157,9 @@ def jointly(
         rest = PositiveLeastSquares.from_residual(
             table[: 2 * dofs**2, entries:], -table[: 2 * dofs**2, :entries] @ known, (dofs,) * 2, (0.0, 0.0)
         )
-        found = jnp.concatenate([known, solver(rest)])
+        found = xp.concatenate([known, solver(rest)])
     M, D, K = (from_symmetric_vector(found[k * entries : (k + 1) * entries]) * unit for k in range(3))
     if input_equation is None and mass is None:
-        share = dofs / jnp.trace(M)
+        share = dofs / xp.trace(M)
         M, D, K = M * share, D * share, K * share
     return (M / rate**2, D / rate, K), (singular[-1] / singular[0]) ** 2

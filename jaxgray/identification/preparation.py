@@ -1,6 +1,7 @@
 """From records to scaled, padded arrays that traced code can take."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -76,9 +77,7 @@ def prepare(record: Record, scaling: Scaling, *, samples: int | None = None) -> 
     padding = ((0, length - record.samples), (0, 0))
     known = np.isfinite(record.y)
     y = np.where(known, (record.y - np.nanmean(record.y, axis=0)) / np.asarray(scaling.outputs), 0.0)
-    return Signals(
-        jnp.asarray(np.pad(record.u / np.asarray(scaling.inputs), padding)),
-        jnp.asarray(np.pad(y, padding)),
-        jnp.asarray(np.pad(known.astype(float), padding)),
-        record.samples,
-    )
+    u = record.u / np.asarray(scaling.inputs)
+    # What `jnp.asarray` does too, but by a program of its own for every shape.
+    u, y, kept = (jax.device_put(np.pad(x, padding)) for x in (u, y, known.astype(float)))
+    return Signals(u, y, kept, record.samples)

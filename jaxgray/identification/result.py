@@ -3,7 +3,7 @@
 import dataclasses
 from dataclasses import dataclass, field
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -100,8 +100,8 @@ class Identification(Shown):
 
     def judged_on(self, records: list[Record]) -> "Identification":
         """The same model with its fit on these records, instead of on the pieces it was estimated from."""
-        M, D, K = (jnp.asarray(X) for X in self.scaling.matrices_in(self.mass, self.damping, self.stiffness))
-        fits = tuple(_fit((M, D, K), self.setting, self.scaling, r, prepare(r, self.scaling)) for r in records)
+        matrices = self.scaling.matrices_in(self.mass, self.damping, self.stiffness)
+        fits = tuple(_fit(matrices, self.setting, self.scaling, r, prepare(r, self.scaling)) for r in records)
         warnings = dict.fromkeys(self.warnings + tuple(_fit_warnings(fits, self.model)))
         return dataclasses.replace(self, records=tuple(records), estimation=fits, warnings=tuple(warnings))
 
@@ -147,7 +147,7 @@ def assess(
     notes: tuple[str, ...],
 ) -> Identification:
     """Fits, tests, covariance and warnings of a model found; see `Identification`."""
-    matrices = tuple(jnp.asarray(X) for X in scaling.matrices_in(model.mass, model.damping, model.stiffness))
+    matrices = scaling.matrices_in(*jax.device_get((model.mass, model.damping, model.stiffness)))
     estimation = tuple(_fit(matrices, setting, scaling, r, s) for r, s in zip(records, signals))
     validation = tuple(_fit(matrices, setting, scaling, r, prepare(r, scaling)) for r in held_out)
     floor = noise_floor(estimation[0].residual)
@@ -164,7 +164,8 @@ def assess(
         if refinement.nuisance.noise is None and not tests.white:
             meat = _score_covariance(J, estimation, scaling, refinement, batch)
         spread = uncertainty(refinement, scaling, structure, fixed=held, meat=meat)
-        scaled = tuple(jnp.asarray(X) for X in (refinement.mass, refinement.damping, refinement.stiffness))
+        scaled = jax.device_get((refinement.mass, refinement.damping, refinement.stiffness))
+        system = setting.drive.state_space(*scaled, setting.measured, 1.0)
         free = np.ones(J.shape[3], bool)
         if held is not None:
             free[: len(held)] &= ~np.asarray(held, bool)
@@ -173,8 +174,9 @@ def assess(
             estimation[0].residual,
             J[0, : records[0].samples][:, :, free] * np.asarray(scaling.outputs)[:, None],
             records[0].u,
-            np.asarray(setting.drive.state_space(*scaled, setting.measured, 1.0).A),
-            direct=bool(np.any(np.asarray(setting.system(*scaled).D) != 0)),
+            np.asarray(system.A),
+            # Between samples a linear hold moves the outputs with the next input already.
+            direct=setting.hold == "linear" or bool(np.any(np.asarray(system.D) != 0)),
         )
         parameters = refinement.normal.information.shape[0]
         if refinement.nuisance.noise is not None:
@@ -245,11 +247,11 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
         remedy = "Excite nearer to the natural frequencies" if "mass" in text else "Excite it more"
         result.append(f"Hardly determined by this record: {text}. {remedy}, or fix entries that you know.")
     result += [f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge]
-    errors = spread.standard_errors()["mass"]
+    errors, mass = spread.standard_errors()["mass"], np.asarray(model.mass)
     for k, name in enumerate(model.output_names):
-        if errors[k, k] > 0.5 * abs(float(model.mass[k, k])):
+        if errors[k, k] > 0.5 * abs(mass[k, k]):
             result.append(
-                f"No inertia visible at {name}: mass {float(model.mass[k, k]):.3g} ± {errors[k, k]:.2g}. Excite nearer "
+                f"No inertia visible at {name}: mass {mass[k, k]:.3g} ± {errors[k, k]:.2g}. Excite nearer "
                 "to the natural frequencies."
             )
     if not found.fits:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -54,7 +53,7 @@ class Start:
     @property
     def score(self) -> float:
         """Likelihood of the free run, −∞ where it is unstable."""
-        return float(score(jnp.asarray(self.deviation)))
+        return float(score(np.asarray(self.deviation)))
 
     @property
     def serves(self) -> bool:
@@ -90,20 +89,29 @@ def model_run(
 def total_deviation(matrices, setting: Setting, signals: list[Signals]) -> np.ndarray:
     """Mean square free-run residual per output over all records."""
     parts = [np.asarray(model_run(matrices, setting, s)[1]) for s in signals]
-    weights = [np.asarray(jnp.sum(s.kept, axis=0)) for s in signals]
+    weights = [np.sum(np.asarray(s.kept), axis=0) for s in signals]
     return np.sum([p * w for p, w in zip(parts, weights)], axis=0) / np.sum(weights, axis=0)
 
 
 def physical_model(
     realization: Realization, fit: InputFit, setting: Setting, known_mass: Array | None
 ) -> tuple[Array, Array, Array]:
-    """M, D, K (scaled) of a realisation, by the problem that the drive allows.
+    """M, D, K (scaled) of a realisation, by the problem that the drive allows, on the host.
 
-    **Raises:** `ComputationError` where an input does not reach every coordinate.
+    **Raises:** `ComputationError` where an input does not reach every coordinate, or a problem has no solution.
     """
+    realization, fit, known_mass = jax.device_get((realization, fit, known_mass))
+    try:
+        with np.errstate(all="ignore"):
+            return _physical_model(realization, fit, setting, known_mass)
+    except np.linalg.LinAlgError as error:
+        raise ComputationError(RESULTS.semidefinite_solver, stage="physical parameters", detail=str(error)) from error
+
+
+def _physical_model(realization, fit, setting, known_mass):
     solver = ClarabelSolver()
     if isinstance(setting.drive, Force) and known_mass is None:
-        E = setting.drive.input_map
+        E = np.asarray(setting.drive.input_map)
         if drives_every_coordinate(setting.drive):
             return from_inverse_mass(realization, fit, E, solver)
         B2 = input_matrix(fit).reshape(E.shape)
@@ -143,13 +151,13 @@ def subspace_starts(
     **Raises:** `ComputationError` when no choice gives a usable model.
     """
     padded = max(options.block_rows)
-    poles = pole(jnp.asarray(options.time_constants), sampling_time)
+    poles = pole(np.asarray(options.time_constants), sampling_time)
     factor_grid, householder = record_factors(signals, poles, padded)
     longest = max(signals, key=lambda s: s.samples)
     found = candidates(
         factor_grid,
         poles,
-        jnp.asarray(options.block_rows, float),
+        np.asarray(options.block_rows, float),
         longest,
         inputs=longest.u.shape[1],
         padded=padded,
@@ -159,7 +167,7 @@ def subspace_starts(
         hold=setting.hold,
         householder=householder,
     )
-    table = np.asarray(score(found.deviation))
+    table = score(found.deviation)
     if not np.any(np.isfinite(table)):
         raise _why_none(found)
     order = np.argsort(-table, axis=None)[: int(np.isfinite(table).sum())]
@@ -167,7 +175,7 @@ def subspace_starts(
     starts: list[Start] = []
     for flat in order[:MOST_CELLS]:
         index = np.unravel_index(flat, table.shape)
-        chosen = jax.tree_util.tree_map(lambda leaf, index=index: leaf[index], found)
+        chosen = jax.tree_util.tree_map(lambda leaf, index=index: np.asarray(leaf[index]), found)
         best = None
         for fit in _input_fits(chosen, signals, setting, options.input_matrix_from):
             try:
@@ -181,7 +189,7 @@ def subspace_starts(
                 "subspace",
                 float(options.time_constants[index[0]]),
                 int(options.block_rows[index[1]]),
-                np.asarray(chosen.realization.singular_values),
+                chosen.realization.singular_values,
                 table,
                 (tuple(np.asarray(options.time_constants, float).tolist()), options.block_rows),
             )
@@ -200,10 +208,10 @@ def _input_fits(chosen, signals: list[Signals], setting: Setting, source: str) -
     """The least squares for B₂ that `source` names."""
     fits = [chosen.fit] if source != "record" else []
     if source != "factor":
-        spread = jnp.sqrt(jnp.maximum(chosen.deviation, 1e-24))
-        weights = jnp.exp(jnp.mean(jnp.log(spread))) / spread
-        parts = [_record_fit(chosen.realization, s, weights, setting) for s in signals]
-        stacked = InputFit(jnp.concatenate([p.factor for p in parts]), jnp.concatenate([p.target for p in parts]))
+        spread = np.sqrt(np.maximum(chosen.deviation, 1e-24))
+        weights = np.exp(np.mean(np.log(spread))) / spread
+        parts = jax.device_get([_record_fit(chosen.realization, s, weights, setting) for s in signals])
+        stacked = InputFit(np.concatenate([p.factor for p in parts]), np.concatenate([p.target for p in parts]))
         fits.append(stacked)
     return fits
 
@@ -247,7 +255,7 @@ def regression_start(
             instruments = None
             if matrices is not None:
                 runs = [model_run(matrices, setting, s) for s in signals]
-                if all(bool(jnp.all(jnp.isfinite(run))) and float(jnp.min(dev)) < 0.5 for run, dev in runs):
+                if all(np.all(np.isfinite(np.asarray(run))) and np.min(np.asarray(dev)) < 0.5 for run, dev in runs):
                     instruments = [run for run, _ in runs]
             try:
                 matrices = regress(signals, instruments, E, float(tau), measured=setting.measured, hold=setting.hold)
@@ -284,6 +292,6 @@ def filled(records: list[Record], scaling: Scaling, runs: list[np.ndarray] | Non
     return result
 
 
-def nearest_physical(matrices: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """The same matrices, symmetric and positive semidefinite."""
-    return tuple(project_positive((X + X.T) / 2) for X in matrices)
+def nearest_physical(matrices: tuple[Array, Array, Array]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same matrices, symmetric and positive semidefinite, on the host."""
+    return tuple(project_positive((X + X.T) / 2) for X in map(np.asarray, matrices))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.linear_algebra import project_positive
+from ..numerics.namespace import namespace
 
 SLOWEST = 1e-3
 """Rate [rad/sample] that stands for a matrix that is zero: a start needs a size to move from."""
@@ -77,8 +78,8 @@ class Chain(AbstractAssembly):
     def blocks(self, matrix, mass, stiffness):
         dofs = matrix.shape[0]
         between = [-(matrix[k, k + 1] + matrix[k + 1, k]) / 2 for k in range(dofs - 1)]
-        ground = [jnp.sum((matrix[k] + matrix[:, k]) / 2) for k in range(dofs)]
-        return [jnp.reshape(value, (1, 1)) for value in ground + between]
+        ground = [((matrix[k] + matrix[:, k]) / 2).sum() for k in range(dofs)]
+        return [value.reshape(1, 1) for value in ground + between]
 
 
 class Proportional(AbstractAssembly):
@@ -91,10 +92,11 @@ class Proportional(AbstractAssembly):
         return blocks[0][0, 0] * mass + blocks[1][0, 0] * stiffness
 
     def blocks(self, matrix, mass, stiffness):
-        table = jnp.stack([mass.ravel(), stiffness.ravel()], axis=1)
-        scale = jnp.linalg.norm(table, axis=0)
-        found = jnp.linalg.lstsq(table / scale, matrix.ravel())[0] / scale
-        return [jnp.reshape(found[0], (1, 1)), jnp.reshape(found[1], (1, 1))]
+        xp = namespace(matrix, mass, stiffness)
+        table = xp.stack([mass.ravel(), stiffness.ravel()], axis=1)
+        scale = xp.linalg.norm(table, axis=0)
+        found = xp.linalg.lstsq(table / scale, matrix.ravel(), rcond=None)[0] / scale
+        return [xp.reshape(found[0], (1, 1)), xp.reshape(found[1], (1, 1))]
 
 
 class Absent(AbstractAssembly):
@@ -139,25 +141,27 @@ class Structure(eqx.Module):
         **Arguments:** `M`, `D`, `K`, time in samples; `lift`: smallest eigenvalue, relative to the largest of the
         matrix, or to that of a slow motion where the matrix is zero.
         """
-        inertia = jnp.linalg.norm(M, ord=2)
+        xp = namespace(M, D, K)
+        inertia = xp.linalg.norm(M, ord=2)
         result = []
         for assembly, matrix, slowest in (
             (self.mass, M, 1.0),
             (self.damping, D, SLOWEST),
             (self.stiffness, K, SLOWEST**2),
         ):
-            natural = jnp.maximum(jnp.linalg.norm(matrix, ord=2), slowest * inertia)
+            natural = xp.maximum(xp.linalg.norm(matrix, ord=2), slowest * inertia)
             if isinstance(assembly, Proportional):
-                natural = natural / jnp.maximum(inertia, jnp.linalg.norm(K, ord=2))
+                natural = natural / xp.maximum(inertia, xp.linalg.norm(K, ord=2))
             for block in assembly.blocks(matrix, M, K):
-                size = natural if block.shape[0] == 1 else jnp.maximum(jnp.linalg.norm(block, ord=2), natural)
+                size = natural if block.shape[0] == 1 else xp.maximum(xp.linalg.norm(block, ord=2), natural)
                 result.append(lifted(block, lift * size))
         return result
 
 
 def lifted(X: Float[Array, "n n"], floor: Float[Array, ""]) -> Float[Array, "n n"]:
     """Nearest matrix with eigenvalues ≥ floor."""
-    eye = jnp.eye(X.shape[0])
+    xp = namespace(X)
+    eye = xp.eye(X.shape[0])
     return project_positive((X + X.T) / 2 - floor * eye) + floor * eye
 
 

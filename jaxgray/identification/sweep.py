@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from ..mechanics.drives import AbstractDrive, Force
 from ..mechanics.statespace import StateSpace
+from ..numerics.namespace import namespace
 from ..records import Record
 from .compression import RANK_TOLERANCE, combine, factors
 from .input_matrix import InputFit, fit_to_factor, unit_drives
@@ -71,17 +72,27 @@ def record_factors(
 
     def parts_by(householder: bool):
         options = {"inputs": inputs, "block_rows": block_rows, "householder": householder}
-        return [factors(poles, s.stacked, s.inside, **options) for s in signals]
+        return [_factors(poles, s.u, s.y, s.samples, **options) for s in signals]
 
     parts = parts_by(householder=False)
-    usable = np.all([np.asarray(pivot > RANK_TOLERANCE) for _, pivot in parts], axis=0)
+    usable = np.all([np.asarray(pivot) > RANK_TOLERANCE for _, pivot in parts], axis=0)
     householder = bool(np.sum(usable) <= len(usable) / 2)
     if householder:
         parts = parts_by(householder=True)
         usable[:] = True
-    stacked = jnp.stack([factor for factor, _ in parts], axis=1)
-    grid = jax.vmap(lambda several: combine(several, inputs, block_rows))(stacked)
-    return jnp.where(jnp.asarray(usable)[:, None, None], grid, jnp.nan), householder
+    return _combined([factor for factor, _ in parts], usable, inputs, block_rows), householder
+
+
+@functools.partial(jax.jit, static_argnames=("inputs", "block_rows", "householder"))
+def _factors(poles, u, y, samples, **options):
+    inside = (jnp.arange(len(u)) < samples).astype(u.dtype)
+    return factors(poles, jnp.concatenate([u, y], axis=1), inside, **options)
+
+
+@functools.partial(jax.jit, static_argnums=(2, 3))
+def _combined(parts, usable, inputs, block_rows):
+    grid = jax.vmap(lambda several: combine(several, inputs, block_rows))(jnp.stack(parts, axis=1))
+    return jnp.where(usable[:, None, None], grid, jnp.nan)
 
 
 def deviation(
@@ -132,8 +143,8 @@ _STATIC = ("inputs", "padded", "weight", "map", "measured", "hold", "householder
 
 
 @functools.partial(jax.jit, static_argnames=_STATIC)
-def _over_block_rows(factor, a, block_rows, signals, **static):
-    return jax.vmap(lambda i: candidate(factor, a, i, signals, **static))(block_rows)
+def _over_block_rows(factor_grid, poles, k, block_rows, signals, **static):
+    return jax.vmap(lambda i: candidate(factor_grid[k], poles[k], i, signals, **static))(block_rows)
 
 
 def candidates(
@@ -143,25 +154,26 @@ def candidates(
     signals: Signals | None,
     **static,
 ) -> Candidate:
-    """`candidate` over the grid τ × i; the leading axes of the result are the grid's.
+    """`candidate` over the grid τ × i, on the host; the leading axes of the result are the grid's.
 
     One compiled function serves every τ. The loop over τ stays on the host, one thread per core: inside a traced
     loop the CPU backend gains nothing from it and can run out of threads (see `numerics.runtime`).
     """
 
     def one(k):
-        return jax.block_until_ready(_over_block_rows(factor_grid[k], poles[k], block_rows, signals, **static))
+        return jax.device_get(_over_block_rows(factor_grid, poles, k, block_rows, signals, **static))
 
     first = [one(0)]  # Compiled once, not by every thread.
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as threads:
         found = first + list(threads.map(one, range(1, len(poles))))
-    return jax.tree_util.tree_map(lambda *parts: jnp.stack(parts), *found)
+    return jax.tree_util.tree_map(lambda *parts: np.stack(parts), *found)
 
 
 def score(deviation: Float[Array, "*grid outputs"]) -> Float[Array, "*grid"]:
     """−½ Σ ln deviation over outputs: the likelihood of the free run; −∞ where it is unstable."""
-    value = -0.5 * jnp.sum(jnp.log(jnp.maximum(deviation, 1e-300)), axis=-1)
-    return jnp.where(jnp.all(jnp.isfinite(deviation), axis=-1), value, -jnp.inf)
+    xp = namespace(deviation)
+    value = -0.5 * xp.sum(xp.log(xp.maximum(deviation, 1e-300)), axis=-1)
+    return xp.where(xp.all(xp.isfinite(deviation), axis=-1), value, -xp.inf)
 
 
 def usable_block_rows(record: Record, choices=DEFAULT_BLOCK_ROWS) -> tuple[int, ...]:

@@ -49,7 +49,7 @@ class Uncertainty:
         """Standard error of every entry of mass, damping, stiffness."""
         parts = np.split(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), 3)
         return {
-            name: np.asarray(from_triangle(jnp.asarray(values)))
+            name: from_triangle(values)
             for name, values in zip(("mass", "damping", "stiffness"), parts)
         }
 

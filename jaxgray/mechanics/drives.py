@@ -3,9 +3,9 @@
 import abc
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..numerics.namespace import namespace
 from .statespace import StateSpace
 
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -44,19 +44,21 @@ class AbstractDrive(eqx.Module):
 
 
 def _core(mass, damping, stiffness, time_unit):
+    xp = namespace(mass, damping, stiffness)
     dofs = mass.shape[0]
-    A21 = -jnp.linalg.solve(mass, stiffness) * time_unit**2
-    A22 = -jnp.linalg.solve(mass, damping) * time_unit
-    A = jnp.block([[jnp.zeros((dofs, dofs)), jnp.eye(dofs)], [A21, A22]])
+    A21 = -xp.linalg.solve(mass, stiffness) * time_unit**2
+    A22 = -xp.linalg.solve(mass, damping) * time_unit
+    A = xp.block([[xp.zeros((dofs, dofs)), xp.eye(dofs)], [A21, A22]])
     return A, A21, A22
 
 
 def _outputs(position, speed, acceleration, measured, time_unit):
     """Rows of (C, D) picked by measured quantity; each argument is (C, D) in scaled time."""
+    xp = namespace(*position, *speed, *acceleration)
     rows = [(position, speed, acceleration)[ORDER[kind]] for kind in measured]
     scale = [time_unit ** -ORDER[kind] for kind in measured]
-    C = jnp.stack([C[k] * s for k, ((C, _), s) in enumerate(zip(rows, scale))])
-    D = jnp.stack([D[k] * s for k, ((_, D), s) in enumerate(zip(rows, scale))])
+    C = xp.stack([C[k] * s for k, ((C, _), s) in enumerate(zip(rows, scale))])
+    D = xp.stack([D[k] * s for k, ((_, D), s) in enumerate(zip(rows, scale))])
     return C, D
 
 
@@ -83,20 +85,21 @@ class Force(AbstractDrive):
             )
 
     def state_space(self, mass, damping, stiffness, measured, time_unit):
+        xp = namespace(mass, damping, stiffness, self.input_map)
         A, A21, A22 = _core(mass, damping, stiffness, time_unit)
         dofs = mass.shape[0]
-        B2 = jnp.linalg.solve(mass, self.input_map) * time_unit**2
-        none = jnp.zeros_like(B2)
-        eye = jnp.eye(dofs)
-        zero = jnp.zeros((dofs, dofs))
+        B2 = xp.linalg.solve(mass, self.input_map) * time_unit**2
+        none = xp.zeros_like(B2)
+        eye = xp.eye(dofs)
+        zero = xp.zeros((dofs, dofs))
         C, D = _outputs(
-            (jnp.hstack([eye, zero]), none),
-            (jnp.hstack([zero, eye]), none),
-            (jnp.hstack([A21, A22]), B2),
+            (xp.hstack([eye, zero]), none),
+            (xp.hstack([zero, eye]), none),
+            (xp.hstack([A21, A22]), B2),
             measured,
             time_unit,
         )
-        return StateSpace(A, jnp.vstack([none, B2]), C, D)
+        return StateSpace(A, xp.vstack([none, B2]), C, D)
 
 
 class BaseAcceleration(AbstractDrive):
@@ -127,20 +130,21 @@ class BaseAcceleration(AbstractDrive):
             )
 
     def state_space(self, mass, damping, stiffness, measured, time_unit):
+        xp = namespace(mass, damping, stiffness, self.direction)
         A, A21, A22 = _core(mass, damping, stiffness, time_unit)
         dofs = mass.shape[0]
         B2 = -self.direction * time_unit**2
-        none = jnp.zeros_like(B2)
-        eye = jnp.eye(dofs)
-        zero = jnp.zeros((dofs, dofs))
+        none = xp.zeros_like(B2)
+        eye = xp.eye(dofs)
+        zero = xp.zeros((dofs, dofs))
         C, D = _outputs(
-            (jnp.hstack([eye, zero]), none),
-            (jnp.hstack([zero, eye]), none),
-            (jnp.hstack([A21, A22]), B2 if self.relative else none),
+            (xp.hstack([eye, zero]), none),
+            (xp.hstack([zero, eye]), none),
+            (xp.hstack([A21, A22]), B2 if self.relative else none),
             measured,
             time_unit,
         )
-        return StateSpace(A, jnp.vstack([none, B2]), C, D)
+        return StateSpace(A, xp.vstack([none, B2]), C, D)
 
 
 class BaseDisplacement(AbstractDrive):
@@ -170,18 +174,19 @@ class BaseDisplacement(AbstractDrive):
             )
 
     def state_space(self, mass, damping, stiffness, measured, time_unit):
+        xp = namespace(mass, damping, stiffness, self.direction)
         A, A21, A22 = _core(mass, damping, stiffness, time_unit)
         dofs = mass.shape[0]
         to_position = -A22 @ self.direction
         to_speed = A22 @ A22 @ self.direction * -1.0 - A21 @ self.direction
-        none = jnp.zeros_like(to_position)
-        eye = jnp.eye(dofs)
-        zero = jnp.zeros((dofs, dofs))
+        none = xp.zeros_like(to_position)
+        eye = xp.eye(dofs)
+        zero = xp.zeros((dofs, dofs))
         C, D = _outputs(
-            (jnp.hstack([eye, zero]), -self.direction if self.relative else none),
-            (jnp.hstack([zero, eye]), to_position),
-            (jnp.hstack([A21, A22]), none),
+            (xp.hstack([eye, zero]), -self.direction if self.relative else none),
+            (xp.hstack([zero, eye]), to_position),
+            (xp.hstack([A21, A22]), none),
             measured,
             time_unit,
         )
-        return StateSpace(A, jnp.vstack([to_position, to_speed]), C, D)
+        return StateSpace(A, xp.vstack([to_position, to_speed]), C, D)

@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,7 +14,7 @@ from .statespace import StateSpace
 
 
 def _matrix(value, name: str) -> Array:
-    X = value if hasattr(value, "aval") else jnp.asarray(np.atleast_2d(np.asarray(value, dtype=float)))
+    X = value if hasattr(value, "aval") else jax.device_put(np.atleast_2d(np.array(value, dtype=float)))
     if X.ndim != 2 or X.shape[0] != X.shape[1]:
         raise ValueError(f"{name} has shape {tuple(X.shape)}; give a square matrix, one row per coordinate.")
     return X

@@ -12,6 +12,8 @@ import jax.scipy.linalg as jsl
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .namespace import namespace
+
 
 def symmetric_size(length: int) -> int:
     """Rows n of the symmetric matrix whose triangle has `length` = n(n+1)/2 entries."""
@@ -28,16 +30,35 @@ def triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def triangle_vector(X: Float[Array, "n n"]) -> Float[Array, " entries"]:
     """Entries of the upper triangle by columns, unscaled."""
+    return _taken(X, _triangle_of) if isinstance(X, jax.Array) else _triangle_of(X)
+
+
+def _triangle_of(X):
     return X[triangle(X.shape[-1])]
 
 
-@jax.jit  # Called from the host as often as from within: one program in place of ten.
+@functools.partial(jax.jit, static_argnums=1, inline=True)
+def _taken(x, pick):
+    # Called from the host as often as from within: one program in place of eight.
+    return pick(x)
+
+
+@functools.cache
+def _places(n: int) -> np.ndarray:
+    """Where each entry of a symmetric matrix stands in its triangle vector."""
+    rows, columns = triangle(n)
+    places = np.zeros((n, n), int)
+    places[rows, columns] = places[columns, rows] = np.arange(len(rows))
+    return places
+
+
 def from_triangle(x: Float[Array, " entries"]) -> Float[Array, "n n"]:
     """Symmetric matrix with these upper-triangle entries (by columns, unscaled)."""
-    n = symmetric_size(x.shape[-1])
-    rows, columns = triangle(n)
-    upper = jnp.zeros((n, n), dtype=x.dtype).at[rows, columns].set(x)
-    return upper + upper.T - jnp.diag(jnp.diag(upper))
+    return _taken(x, _matrix_of) if isinstance(x, jax.Array) else _matrix_of(x)
+
+
+def _matrix_of(x):
+    return x[_places(symmetric_size(x.shape[-1]))]
 
 
 def _weights(n: int) -> np.ndarray:
@@ -126,18 +147,25 @@ def _dominant_subspace_jvp(rank, primals, tangents):
     return (V1, s), (dV + outside, jnp.sum(U * (dX @ Vt.T), axis=0))
 
 
-@jax.custom_jvp
+def _clipped(X):
+    xp = namespace(X)
+    values, vectors = xp.linalg.eigh((X + X.T) / 2)
+    return (vectors * xp.maximum(values, 0.0)) @ vectors.T
+
+
 def project_positive(X: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Nearest positive semidefinite matrix (Frobenius norm) to a symmetric one.
 
     The derivative is the Daleckii-Krein formula with divided differences, finite also where eigenvalues
     repeat, where differentiating the eigenvectors is not.
     """
-    values, vectors = jnp.linalg.eigh((X + X.T) / 2)
-    return (vectors * jnp.maximum(values, 0.0)) @ vectors.T
+    return _projected(X) if isinstance(X, jax.Array) else _clipped(X)
 
 
-@project_positive.defjvp
+_projected = jax.custom_jvp(_clipped)
+
+
+@_projected.defjvp
 def _project_positive_jvp(primals, tangents):
     (X,), (dX,) = primals, tangents
     values, vectors = jnp.linalg.eigh((X + X.T) / 2)

@@ -18,6 +18,7 @@ from .linear_algebra import (
     symmetric_size,
     symmetric_vector,
 )
+from .namespace import namespace
 from .outcomes import RESULTS, ComputationError
 
 
@@ -40,24 +41,33 @@ class PositiveLeastSquares(eqx.Module):
         cls, factor: Float[Array, "rows variables"], target: Float[Array, " rows"], sizes, floors
     ) -> "PositiveLeastSquares":
         """The problem min ½ ‖factor z − target‖² over the same blocks."""
-        return cls(factor.T @ factor, -factor.T @ target, jnp.asarray(floors, dtype=factor.dtype), tuple(sizes))
+        xp = namespace(factor, target)
+        return cls(factor.T @ factor, -(factor.T @ target), xp.asarray(floors, dtype=factor.dtype), tuple(sizes))
 
     def blocks(self, z: Float[Array, " variables"]) -> tuple[Float[Array, "n n"], ...]:
         """The symmetric matrices that z stands for."""
         ends = np.cumsum([n * (n + 1) // 2 for n in self.sizes])
-        return tuple(from_symmetric_vector(part) for part in jnp.split(z, ends[:-1]))
+        return tuple(from_symmetric_vector(part) for part in namespace(z).split(z, ends[:-1]))
 
     def unconstrained(self) -> Float[Array, " variables"]:
         """The minimiser without the cone."""
-        scale = jnp.sqrt(jnp.maximum(jnp.diag(self.quadratic), jnp.finfo(self.quadratic.dtype).tiny))
+        xp = namespace(self.quadratic, self.linear)
+        scale = xp.sqrt(xp.maximum(xp.diag(self.quadratic), np.finfo(self.quadratic.dtype).tiny))
         scaled = self.quadratic / scale[:, None] / scale[None, :]
         target = -self.linear / scale
         if self.held is not None:
-            known = jnp.where(self.held, self.values * scale, 0.0)
+            known = xp.where(self.held, self.values * scale, 0.0)
             free = ~self.held
-            target = jnp.where(free, target - scaled @ known, known)
-            scaled = jnp.where(free[:, None] & free[None, :], scaled, jnp.diag(1.0 - free))
-        return jnp.linalg.solve(scaled, target) / scale
+            target = xp.where(free, target - scaled @ known, known)
+            scaled = xp.where(free[:, None] & free[None, :], scaled, xp.diag(1.0 - free))
+        try:
+            return xp.linalg.solve(scaled, target) / scale
+        except np.linalg.LinAlgError:
+            return np.full(len(target), np.nan)
+
+    def on_host(self) -> "PositiveLeastSquares":
+        """The same problem in NumPy arrays, for which nothing is compiled."""
+        return jax.tree_util.tree_map(np.asarray, self)
 
 
 class AbstractPositiveSolver(eqx.Module):
@@ -82,12 +92,11 @@ class ClarabelSolver(AbstractPositiveSolver):
         import clarabel
         import scipy.sparse as sparse
 
-        free = _unconstrained(problem)
-        floors = np.asarray(problem.floors)
+        problem = problem.on_host()
+        free, floors = problem.unconstrained(), problem.floors
         if np.all(np.isfinite(free)) and inside_cone(free, problem.sizes, floors):
             return free
-        P = np.asarray(problem.quadratic)
-        q = np.asarray(problem.linear)
+        P, q = problem.quadratic, problem.linear
         scale = 1.0 / max(np.max(np.abs(np.diag(P))), np.finfo(float).tiny)
         size = np.sqrt(np.mean(free**2)) if np.all(np.isfinite(free)) and np.any(free) else 1.0
         bound = np.concatenate(
@@ -100,9 +109,9 @@ class ClarabelSolver(AbstractPositiveSolver):
         rows, right = [-np.eye(len(q))], [bound]
         cones = [clarabel.PSDTriangleConeT(n) for n in problem.sizes]
         if problem.held is not None and np.any(problem.held):
-            held = np.asarray(problem.held)
+            held = problem.held
             rows.append(np.eye(len(q))[held])
-            right.append(np.asarray(problem.values)[held] / size)
+            right.append(problem.values[held] / size)
             cones.append(clarabel.ZeroConeT(int(held.sum())))
         solver = clarabel.DefaultSolver(
             sparse.csc_matrix(np.triu(P) * scale),
@@ -120,22 +129,6 @@ class ClarabelSolver(AbstractPositiveSolver):
                 detail=f"Clarabel says {solution.status}",
             )
         return _polished(problem, size * np.asarray(solution.x))
-
-
-def _unconstrained(problem: PositiveLeastSquares) -> np.ndarray:
-    """The minimiser without the cone, on the host: nothing is compiled for one more number of variables."""
-    P, target = np.asarray(problem.quadratic), -np.asarray(problem.linear)
-    scale = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
-    scaled, target = P / scale[:, None] / scale, target / scale
-    if problem.held is not None:
-        held = np.asarray(problem.held)
-        known = np.where(held, np.asarray(problem.values) * scale, 0.0)
-        target = np.where(held, known, target - scaled @ known)
-        scaled = np.where(held[:, None] | held, np.diag(1.0 * held), scaled)
-    try:
-        return np.linalg.solve(scaled, target) / scale
-    except np.linalg.LinAlgError:
-        return np.full(len(target), np.nan)
 
 
 def inside_cone(z: np.ndarray, sizes: tuple[int, ...], floors: np.ndarray) -> bool:
@@ -175,16 +168,16 @@ def _polished(problem: PositiveLeastSquares, z: np.ndarray, steps: int = 8) -> n
     An interior-point method leaves an error of the square root of its gap; from there the semismooth Newton
     method is quadratic.
     """
-    P, q = np.asarray(problem.quadratic), np.asarray(problem.linear)
+    P, q = problem.quadratic, problem.linear
     curvature = np.linalg.norm(P, ord=2)
     P, q = P / curvature, q / curvature
     ends = np.cumsum([n * (n + 1) // 2 for n in problem.sizes])[:-1]
     shift = np.concatenate(
         [floor * (duplication(n).T @ np.eye(n).ravel()) for n, floor in zip(problem.sizes, problem.floors)]
     )
-    held = np.zeros(len(q), bool) if problem.held is None else np.asarray(problem.held)
+    held = np.zeros(len(q), bool) if problem.held is None else problem.held
     pick = np.eye(len(q))[held]
-    given = np.zeros(0) if problem.held is None else np.asarray(problem.values)[held]
+    given = np.zeros(0) if problem.held is None else problem.values[held]
     multiplier = -pick @ (P @ z + q)
 
     def condition(z, multiplier):
