@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.signal
 from jaxtyping import Float
 
 from ..mechanics.effects.base import Term
+from ..numerics.filters import correlation
 from ..numerics.linear_algebra import duplication, from_symmetric_vector
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares
 from .force_rows import Series, contribution, scales_of
@@ -287,8 +287,8 @@ def independent_share(e: Float[np.ndarray, "rows channels"]) -> float:
     sums = []
     for x in e.T:
         lags = min(LAGS, len(x) // 4)
-        full = scipy.signal.correlate(x, x, method="fft")[len(x) - 1 :]
-        rho = full[1 : lags + 1] / max(full[0], 1e-300)
+        full = correlation(x, x, lags)[lags:]
+        rho = full[1:] / max(full[0], 1e-300)
         # A correlation estimated from so many rows is this large by chance alone.
         sums.append(1 + 2 * max(float(np.sum(rho**2)) - lags / len(x), 0.0))
     return 1.0 / float(np.mean(sums))

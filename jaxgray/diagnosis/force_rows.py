@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.signal
+import scipy  # `scipy.signal`, a second to import, is fetched at its first use.
 from jaxtyping import Bool, Float
 
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect, Local, Place, Scales

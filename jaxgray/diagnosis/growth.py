@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.stats
+import scipy.special
 
 from ..mechanics.effects.base import AbstractEffect
 from ..numerics.runtime import relieve
@@ -231,7 +231,7 @@ def _needless(rival: Attempt, best: Attempt) -> bool:
     if further and all(abs(value) < 2 * error for value, error in further):
         return True
     ratio = best.criterion - best.penalty - (rival.criterion - rival.penalty)
-    return ratio < scipy.stats.chi2.ppf(0.95, max(large.free - small.free, 1))
+    return ratio < 2 * scipy.special.gammaincinv(max(large.free - small.free, 1) / 2, 0.95)
 
 
 def _floor(bench: Bench, attempts: list[Attempt]) -> np.ndarray:

@@ -10,7 +10,7 @@ Score test of every candidate, off the span of the model's own sensitivities:
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Bool, Float
 
 from ..identification.conic import pseudo_inverse
@@ -112,7 +112,7 @@ def score_all(products: Products, features: Features) -> tuple[tuple[Score, ...]
         worth = ratio - penalty > 0
         if worth and not allowed(shape, weights):
             continue
-        p = float(scipy.stats.chi2.sf(ratio, len(seen))) * shape.tried if worth else 1.0
+        p = float(scipy.special.chdtrc(len(seen), ratio)) * shape.tried if worth else 1.0
         variance = products.power * (1 - share) / m
         size = np.sqrt(np.max(np.diag(own.matrix)[seen]))
         smallest = float(np.sqrt((penalty + GATE) * variance) / size)

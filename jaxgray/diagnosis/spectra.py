@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
+import scipy  # `scipy.signal`, a second to import, is fetched at its first use.
 from jaxtyping import Bool, Float
 
 from ..records.periods import find_period

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import numpy as np
-import scipy.stats
+import scipy.special
 
 from ..mechanics.drives import AbstractDrive
 from ..numerics.linear_algebra import triangle
@@ -219,7 +219,7 @@ def _assembled(records, scalings, usable, refused, drive, found, taus, rows) -> 
     where = np.full((count, 2), np.nan)
     for k, error in refused.items():
         results[k], details[k] = error.result, str(error)
-    limit = scipy.stats.chi2.ppf(1 - 0.01 / outputs, LAGS)
+    limit = 2 * scipy.special.gammaincinv(LAGS / 2, 1 - 0.01 / outputs)
     one = np.ones((outputs, outputs))
     for place, k in enumerate(usable):
         units = np.array([np.asarray(X) for X in scalings[k].matrices_out(one, one, one)])

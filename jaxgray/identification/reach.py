@@ -1,9 +1,9 @@
 """Whether every output is moved by the inputs at all, before any model."""
 
 import numpy as np
-import scipy.signal
-import scipy.stats
+import scipy.special
 
+from ..numerics.filters import filtered
 from ..numerics.outcomes import RESULTS, ComputationError
 from .preparation import Signals
 from .validation import AR_ORDER, ar_coefficients
@@ -33,10 +33,10 @@ def check_reach(signals: list[Signals], input_names, output_names, *, significan
         u, y = np.asarray(record.u)[:n], np.asarray(record.y)[:n]
         features = []
         for a in _POLES:
-            x = scipy.signal.lfilter([1.0 - a], [1.0, -a], u - u.mean(axis=0), axis=0)
+            x = filtered([1.0 - a], [1.0, -a], u - u.mean(axis=0), axis=0)
             for _ in range(_ORDERS):
                 features.append(x)
-                x = scipy.signal.lfilter([-a, 1.0], [1.0, -a], x, axis=0)
+                x = filtered([-a, 1.0], [1.0, -a], x, axis=0)
         table = np.concatenate(features, axis=1)
         for k in range(outputs):
             unexplained[k] &= not _explains(table, y[:, k], significance)
@@ -54,7 +54,7 @@ def _explains(table: np.ndarray, y: np.ndarray, significance: float) -> bool:
     # Under the null y is noise alone: whitened by its own AR model, the statistic has its textbook distribution.
     coefficients = ar_coefficients(y - y.mean())
     columns = np.concatenate([table, np.ones((len(y), 1)), y[:, None]], axis=1)
-    columns = scipy.signal.lfilter(coefficients, [1.0], columns, axis=0)[AR_ORDER:]
+    columns = filtered(coefficients, [1.0], columns, axis=0)[AR_ORDER:]
     table, y = columns[:, :-1], columns[:, -1]
     U, s, _ = np.linalg.svd(table / np.maximum(np.linalg.norm(table, axis=0), 1e-300), full_matrices=False)
     U = U[:, s > 1e-9 * s[0]]
@@ -66,4 +66,4 @@ def _explains(table: np.ndarray, y: np.ndarray, significance: float) -> bool:
     if left <= 1e-12 * taken:
         return True
     statistic = taken / count / (left / (len(y) - count))
-    return bool(scipy.stats.f.sf(statistic, count, len(y) - count) < significance)
+    return bool(scipy.special.fdtrc(count, len(y) - count, statistic) < significance)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
-from scipy.signal import lfilter
+
+from ..numerics.filters import filtered
 
 LEAST = 1e-14
 """Smallest ω² and damping rate of a mode, time in samples."""
@@ -68,9 +69,9 @@ class Whitened:
         drives = np.concatenate([(u - u.mean(axis=0)).T, impulse])
         alike = all(len(c) == 1 for c in coefficients) and bool(np.all(kept == kept[:1]))
         return cls(
-            np.stack([lfilter(c, [1.0], row) / s for c, row, s in zip(coefficients, filled, size)]) * kept,
-            [drives if len(c) == 1 else lfilter(c, [1.0], drives) for c in coefficients],
-            [lfilter(c, [1.0], np.ones(len(u))) for c in coefficients],
+            np.stack([filtered(c, [1.0], row) / s for c, row, s in zip(coefficients, filled, size)]) * kept,
+            [drives if len(c) == 1 else filtered(c, [1.0], drives) for c in coefficients],
+            [filtered(c, [1.0], np.ones(len(u))) for c in coefficients],
             kept,
             alike,
             direct,
@@ -149,7 +150,7 @@ def _table(poles, data: Whitened, k: int) -> tuple[np.ndarray, np.ndarray]:
     drives = data.drives[k]
     rows = []
     for a1, a2 in sections(poles):
-        x = lfilter([1.0], [1.0, -a1, -a2], drives)
+        x = filtered([1.0], [1.0, -a1, -a2], drives)
         before = _late(x)
         # Inputs act one sample later, the impulse that stands for the first state at once. A difference in place of
         # the second delay: slow modes hardly change in a sample.
@@ -212,7 +213,7 @@ def _pole_equations(fit: RivalFit, data: Whitened) -> tuple[np.ndarray, np.ndarr
         rows = []
         for j, (a1, a2) in enumerate(sections(fit.poles)):
             # The derivative of N/A u by a1 is z⁻¹/A times N/A u itself.
-            first = lfilter([0.0, 1.0], [1.0, -a1, -a2], motion[j])
+            first = filtered([0.0, 1.0], [1.0, -a1, -a2], motion[j])
             rows.append(slopes[j].T @ np.stack([first, _late(first)]))
         part, product = fit.off(k, np.concatenate(rows) * data.kept[k])
         gram, slope = gram + part, slope + product
@@ -265,7 +266,7 @@ def further_modes(fit: RivalFit, data: Whitened, *, keep: int = 2) -> Float[np.n
     for c, (a1, a2) in enumerate(sections(poles)):
         for k in range(len(data.y)):
             if k == 0 or not data.alike:
-                x = lfilter([0.0, 1.0], [1.0, -a1, -a2], data.drives[k][:-1])
+                x = filtered([0.0, 1.0], [1.0, -a1, -a2], data.drives[k][:-1])
                 x = np.concatenate([x, x - _late(x)]) * data.kept[k]
                 x = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)
                 gram, _ = fit.off(k, x)

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Float
-from scipy.signal import lfilter
 
+from ..numerics.filters import filtered
 from .rival import CELLS, RivalFit, Whitened, at_poles, fit_rival, further_modes, poles_of
 
 SIGNIFICANCE = 1e-3
@@ -99,7 +99,7 @@ def structure_test(
         if all(len(c) == 1 for c in colours):
             break
         coefficients = [c if len(c) > 1 else np.array([1.0, 0.0]) for c in colours]
-        size = size * np.std([lfilter(c, [1.0], row) for c, row in zip(coefficients, rest.T)], axis=1)
+        size = size * np.std([filtered(c, [1.0], row) for c, row in zip(coefficients, rest.T)], axis=1)
         starts = [own.poles, *(found[2].poles for found in judged[1:])]
     p_value, statistic, fit = best
     p_value = min(1.0, len(judged) * p_value)
@@ -111,7 +111,7 @@ def _left(residual, jacobian, coefficients, size) -> float:
     """What M, D, K leave of the whitened residual at best, to first order."""
     kept = np.isfinite(residual).T
     columns = np.concatenate([jacobian, np.nan_to_num(residual)[:, :, None]], axis=2)
-    rows = [lfilter(c, [1.0], columns[:, k].T) * kept[k] / size[k] for k, c in enumerate(coefficients)]
+    rows = [filtered(c, [1.0], columns[:, k].T) * kept[k] / size[k] for k, c in enumerate(coefficients)]
     table = np.concatenate(rows, axis=1)
     norm = np.linalg.norm(table[:-1], axis=1)
     table[:-1] /= np.where(norm > 0, norm, 1.0)[:, None]
@@ -128,7 +128,7 @@ def _judge(
     free = max(fit.parameters - parameters, 1)
     rest = max(data.count - fit.parameters, 1.0)
     statistic = max(left - fit.cost, 0.0) / free / max(fit.cost / rest, 1e-300) / ringing
-    return min(1.0, looks * float(scipy.stats.f.sf(statistic, free, rest))), float(statistic), fit
+    return min(1.0, looks * float(scipy.special.fdtrc(free, rest, statistic))), float(statistic), fit
 
 
 def _colour(residual) -> tuple[list, np.ndarray]:
@@ -136,7 +136,7 @@ def _colour(residual) -> tuple[list, np.ndarray]:
     e = np.nan_to_num(residual - np.nanmean(residual, axis=0))
     colour = [ar_by_bic(x) for x in e.T]
     colour = [c if len(c) > 1 else np.array([1.0, 0.0]) for c in colour]
-    size = np.array([np.std(lfilter(c, [1.0], x)) for c, x in zip(colour, e.T)])
+    size = np.array([np.std(filtered(c, [1.0], x)) for c, x in zip(colour, e.T)])
     return colour, np.where(size > 0, size, 1.0)
 
 

@@ -48,10 +48,7 @@ class Uncertainty:
     def standard_errors(self) -> dict[str, Float[np.ndarray, "dofs dofs"]]:
         """Standard error of every entry of mass, damping, stiffness."""
         parts = np.split(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), 3)
-        return {
-            name: from_triangle(values)
-            for name, values in zip(("mass", "damping", "stiffness"), parts)
-        }
+        return {name: from_triangle(values) for name, values in zip(("mass", "damping", "stiffness"), parts)}
 
 
 def entry_names(dofs: int) -> tuple[str, ...]:

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.signal
-import scipy.stats
+import scipy.special
 from jaxtyping import Float
+
+from ..numerics.filters import correlation, filtered
 
 LAGS = 25
 AR_ORDER = 10
@@ -60,9 +61,7 @@ class ResidualTest:
 
 def _correlation(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
     """Correlation of a(k + lag) with b(k) for lag −lags … lags, both without mean."""
-    n = len(a)
-    full = scipy.signal.correlate(a, b, method="fft")
-    return full[n - 1 - lags : n + lags] / n
+    return correlation(a, b, lags) / len(a)
 
 
 def _chance(c: np.ndarray, own: np.ndarray, samples: int) -> float:
@@ -71,7 +70,7 @@ def _chance(c: np.ndarray, own: np.ndarray, samples: int) -> float:
     kept = values > 1e-2 * values[-1]
     if not kept.any():
         return 1.0
-    return float(scipy.stats.chi2.sf(np.sum((vectors[:, kept].T @ c) ** 2 / values[kept]), int(kept.sum())))
+    return float(scipy.special.chdtrc(int(kept.sum()), np.sum((vectors[:, kept].T @ c) ** 2 / values[kept])))
 
 
 def residual_test(
@@ -99,9 +98,9 @@ def residual_test(
     e = e / np.where(size > 0, size, 1.0)
     lags = min(lags, n // 4)
     auto = np.stack([_correlation(e[:, k], e[:, k], lags) for k in range(outputs)], axis=1)
-    quantile = scipy.stats.norm.ppf(0.995)
+    quantile = float(scipy.special.ndtri(0.995))
     portmanteau = n * np.sum(auto[lags + 1 :] ** 2, axis=0)
-    white = bool(np.all(portmanteau < scipy.stats.chi2.ppf(1 - 0.01 / outputs, lags)))
+    white = bool(np.all(portmanteau < 2 * scipy.special.gammaincinv(lags / 2, 1 - 0.01 / outputs)))
     cross = np.zeros((2 * lags + 1, outputs, u.shape[1]))
     bands = np.zeros((outputs, u.shape[1]))
     late = early = at_once = False
@@ -147,7 +146,7 @@ def ar_coefficients(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " coe
 
 def whiten_by_ar(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
     """Prediction errors of that AR model."""
-    return scipy.signal.lfilter(ar_coefficients(x), [1.0], x)
+    return filtered(ar_coefficients(x), [1.0], x)
 
 
 def noise_floor(residual: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, " outputs"]:
