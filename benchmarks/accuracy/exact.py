@@ -10,7 +10,7 @@ import numpy as np
 
 import jaxgray
 from jaxgray.identification.filter_bank import pole
-from jaxgray.identification.input_matrix import fit_to_factor, fit_to_record
+from jaxgray.identification.input_matrix import fit_to_factor, fit_to_record, unit_drives
 from jaxgray.identification.options import drive_of
 from jaxgray.identification.prediction import Setting
 from jaxgray.identification.preparation import prepare, scaling_of
@@ -44,7 +44,7 @@ def _realized(arranged, projections, a, signals, setting):
     realization = realize(projections, a, setting.measured, ExactMap())
     ways = {"measured": setting.measured, "hold": setting.hold}
     by_record = fit_to_record(realization, signals.u, signals.y, signals.kept, **ways)
-    return realization, {"factor": fit_to_factor(realization, arranged, **ways), "record": by_record}
+    return realization, {"factor": fit_to_factor(unit_drives(realization, **ways), arranged), "record": by_record}
 
 
 def exact_chunk(n, seed):

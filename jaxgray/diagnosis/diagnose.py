@@ -10,7 +10,7 @@ from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..mechanics.model import MechanicalModel
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import ready, relieve
+from ..numerics.runtime import rarely_collecting, ready, relieve
 from ..records import Record, check_compatible, preflight
 from ..records.cleaning import without_defects
 from .assembly import (
@@ -46,6 +46,7 @@ UNEXPLAINED = 1.05
 """Excess over an independent noise floor from which a silent gate does not mean noise."""
 
 
+@rarely_collecting()
 def diagnose(
     record: Record | list[Record],
     *,

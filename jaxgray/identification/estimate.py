@@ -18,7 +18,7 @@ from ..numerics.positive import ProjectedGradientSolver
 from ..numerics.runtime import ready
 from .compression import factor_of_gram, factor_of_rows
 from .filter_bank import cascade, pole
-from .input_matrix import fit_to_factor, fit_to_record
+from .input_matrix import fit_to_factor, fit_to_record, unit_drives
 from .options import pick
 from .physical import Scaling, from_inverse_mass, input_matrix, jointly
 from .prediction import Batch, Setting
@@ -226,7 +226,7 @@ def from_factor(
     projections = project(data, weight, 2 * outputs, householder=options.exact_data)
     realization = realize(projections, a, options.measured, options.map)
     if record is None:
-        fit = fit_to_factor(realization, data, measured=options.measured, hold=options.hold)
+        fit = fit_to_factor(unit_drives(realization, options.measured, options.hold), data)
     else:
         u, y, weights = record
         kept = jnp.broadcast_to(weights[:, None], y.shape)

@@ -10,6 +10,7 @@ Multiplication by λ_d is bidiagonal in it, λ_d f_j = S_jj f_j + S_{j,j+1} f_{j
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.lifting import LiftedSystem, lift
@@ -43,11 +44,9 @@ def lifted_cascade(a: Float[Array, ""], orders: int, block: int) -> LiftedSystem
 
 def lambda_shift(a: Float[Array, ""], size: int) -> Float[Array, "size size_plus_one"]:
     """Multiplication by λ_d on f_0 … f_{size−1}: the bidiagonal matrix S, `size` × (`size` + 1)."""
-    main = jnp.concatenate([jnp.zeros(1), jnp.full(size - 1, 1.0) * a / (1 + a)])
-    upper = jnp.concatenate([jnp.sqrt((1 - a) / (1 + a))[None], jnp.full(size - 1, 1.0) / (1 + a)])
-    S = jnp.zeros((size, size + 1))
-    index = jnp.arange(size)
-    return S.at[index, index].set(main).at[index, index + 1].set(upper)
+    rest = np.arange(size)[:, None] > 0
+    main, upper = np.eye(size, size + 1) * rest, np.eye(size, size + 1, 1)
+    return (a * main + upper * rest) / (1 + a) + jnp.sqrt((1 - a) / (1 + a)) * (upper * ~rest)
 
 
 def lambda_powers(a: Float[Array, ""], size: int) -> Float[Array, "size size"]:
@@ -71,7 +70,7 @@ def past_rows(
 
     **Returns:** coefficients in f_0 … f_{width−1}.
     """
-    S = jnp.pad(lambda_shift(a, width), ((0, 0), (0, 0)))[:, :width]
+    S = lambda_shift(a, width)[:, :width]
     kept = jnp.arange(padded) < block_rows
 
     def step(rows, k):

@@ -7,7 +7,7 @@ from ..mechanics.drives import Force
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import ready, relieve
+from ..numerics.runtime import rarely_collecting, ready, relieve
 from ..records import Record, check_compatible, preflight
 from .options import drive_of, fixed_entries, parse_fix, pick, with_known
 from .prediction import Batch, Setting
@@ -29,6 +29,7 @@ NEAR = 0.05
 """Share of every output's power left by a refinement below which no other start is tried."""
 
 
+@rarely_collecting()
 def identify(
     record: Record | list[Record],
     *,

@@ -82,7 +82,7 @@ def fit_to_record(
     return InputFit(R[:, :-1], R[:, -1])
 
 
-def fit_to_factor(realization: Realization, data: Data, *, measured: tuple[str, ...], hold: str) -> InputFit:
+def fit_to_factor(drives: tuple[Array, Array, Array, Array], data: Data) -> InputFit:
     """The paper's step 6 in the Laguerre family: Γ^⊥ Y_f = Γ^⊥ H(B₂) U_f, without the record.
 
     With X_j the filtered states and 𝒜 = (A_d − aI)(I − aA_d)⁻¹, for j ≥ 1
@@ -92,20 +92,21 @@ def fit_to_factor(realization: Realization, data: Data, *, measured: tuple[str, 
 
     X_{i−1} free.
 
-    **Arguments:** `realization`; `data`: future and past; `measured`; `hold`.
+    **Arguments:** `drives`: `unit_drives` of the realisation; `data`: future and past.
 
     **Returns:** an `InputFit`.
 
     **Reference:** Olofsson et al., step 6; recursion in the Laguerre family by substitution of λ_d.
     """
-    Ad, Bd, C, Dd = unit_drives(realization, measured, hold)
+    Ad, Bd, C, Dd = drives
     a = data.a
     states, dofs = Bd.shape
     # The rows beyond those that span the inputs hold nothing of H U_f.
     rows = data.family.shape[1] * data.inputs
     eye = jnp.eye(states)
-    ratio = jnp.linalg.solve((eye - a * Ad).T, (Ad - a * eye).T).T
-    drive = jnp.linalg.solve(eye - a * Ad, Bd)
+    # The two factors of 𝒜 commute.
+    both = jnp.linalg.solve(eye - a * Ad, jnp.concatenate([Ad - a * eye, Bd], axis=1))
+    ratio, drive = both[:, :states], both[:, states:]
     A_lambda = (Ad - a * eye) / (1 - a)
     root = jnp.sqrt((1 - a) / (1 + a))
     u = data.family[:rows, : data.padded + 1, : data.inputs]

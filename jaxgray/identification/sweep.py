@@ -95,19 +95,6 @@ def _combined(parts, usable, inputs, block_rows):
     return jnp.where(usable[:, None, None], grid, jnp.nan)
 
 
-def deviation(
-    realization: Realization,
-    B2: Float[Array, "dofs inputs"],
-    signals: Signals,
-    measured: tuple[str, ...],
-    hold: str,
-) -> Float[Array, " outputs"]:
-    """Mean square free-run residual per output, with the best initial state and offsets."""
-    Ad, Bd, C, Dd = unit_drives(realization, measured, hold)
-    return best_run(StateSpace(Ad, Bd @ B2, C, Dd @ B2), signals)[1]
-
-
-@functools.partial(jax.jit, static_argnames=("inputs", "padded", "weight", "map", "measured", "hold", "householder"))
 def candidate(
     factor: Float[Array, "columns columns"],
     a: Float[Array, ""],
@@ -122,7 +109,7 @@ def candidate(
     hold: str,
     householder: bool,
 ) -> Candidate:
-    """Realisation, input matrix and free-run deviation of one (τ, i), from the factor alone.
+    """Realisation, input matrix and free-run deviation (best first state and offsets) of one (τ, i), in traced code.
 
     **Arguments:** `factor` of the record; `a`: filter pole; `block_rows`: i ≤ `padded`; `signals`: what the
     free run is held against, or None for none; the rest static.
@@ -132,11 +119,13 @@ def candidate(
     data = arrange(factor, a, block_rows, inputs, padded)
     projections = project(data, weight, 2 * len(measured), householder=householder)
     realization = realize(projections, a, measured, map)
-    fit = fit_to_factor(realization, data, measured=measured, hold=hold)
+    drives = unit_drives(realization, measured, hold)
+    fit = fit_to_factor(drives, data)
     if signals is None:
         return Candidate(realization, fit, jnp.full(len(measured), jnp.nan))
     B2 = input_matrix(fit).reshape(len(measured), inputs)
-    return Candidate(realization, fit, deviation(realization, B2, signals, measured, hold))
+    Ad, Bd, C, Dd = drives
+    return Candidate(realization, fit, best_run(StateSpace(Ad, Bd @ B2, C, Dd @ B2), signals)[1])
 
 
 _STATIC = ("inputs", "padded", "weight", "map", "measured", "hold", "householder")

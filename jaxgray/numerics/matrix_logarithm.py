@@ -5,22 +5,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-_ROOTS = 5
 _NEWTON_STEPS = (14, 8, 7, 6, 6)
+"""Of each of the square roots."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
-def _square_root(A: Float[Array, "n n"], steps: int) -> Float[Array, "n n"]:
-    """Principal square root by the product form of the Denman-Beavers iteration."""
+_FIRST_STEPS = np.concatenate([np.arange(steps) == 0 for steps in _NEWTON_STEPS])
+
+
+def _roots(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """A^(1/2^5): principal square roots one after the other, by the product form of the Denman-Beavers iteration."""
     eye = jnp.eye(A.shape[0], dtype=A.dtype)
 
-    def step(pair, _):
+    def step(pair, first):
         X, M = pair
+        M = jnp.where(first, X, M)
         inverse = jnp.linalg.solve(M, eye)
         return (X @ (eye + inverse) / 2, (eye + (M + inverse) / 2) / 2), None
 
-    (X, _), _ = jax.lax.scan(step, (A, A), None, length=steps)
-    return X
+    # One loop for all roots: each of its own would be traced and compiled again.
+    return jax.lax.scan(step, (A, A), jnp.asarray(_FIRST_STEPS))[0][0]
 
 
 def matrix_logarithm(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
@@ -37,11 +41,9 @@ def matrix_logarithm(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
     **Reference:** Higham, *Functions of Matrices*, §11.4 and algorithm 6.14.
     """
-    root = A
-    for steps in _NEWTON_STEPS[:_ROOTS]:
-        root = _square_root(root, steps)
+    root = _roots(A)
     eye = jnp.eye(A.shape[0], dtype=A.dtype)
     difference = root - eye
     nodes = jnp.asarray((_NODES + 1) / 2)[:, None, None]
     terms = jnp.linalg.solve(eye + nodes * difference, jnp.broadcast_to(difference, (10, *A.shape)))
-    return 2**_ROOTS * jnp.sum(jnp.asarray(_WEIGHTS / 2)[:, None, None] * terms, axis=0)
+    return 2 ** len(_NEWTON_STEPS) * jnp.sum(jnp.asarray(_WEIGHTS / 2)[:, None, None] * terms, axis=0)

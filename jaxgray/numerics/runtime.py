@@ -1,7 +1,9 @@
-"""What must hold before anything is computed: 64-bit floats, and enough threads."""
+"""What must hold before anything is computed: 64-bit floats, enough threads, and a collector that does not disturb."""
 
+import contextlib
 import gc
 import os
+import threading
 
 import jax
 
@@ -9,6 +11,13 @@ LEAST_THREADS = 4
 
 CROWDED = 0.7
 """Share of the memory areas that a process may have from which compiled programs are dropped."""
+
+COLLECT_AFTER = 50_000
+"""New objects after which Python's collector looks for cycles while programs are traced."""
+
+_lock = threading.Lock()
+_inside = 0
+_before = (0, 0, 0)
 
 
 def ready() -> None:
@@ -46,3 +55,27 @@ def relieve() -> None:
     if areas > CROWDED * most:
         jax.clear_caches()
         gc.collect()
+
+
+@contextlib.contextmanager
+def rarely_collecting():
+    """Let Python's collector of cycles run less often meanwhile; also a decorator.
+
+    Tracing makes objects by the hundred thousand, none of them garbage yet; at the usual settings looking through them
+    again and again takes a sixth of a first identification.
+    """
+    global _inside, _before
+    with _lock:
+        if _inside == 0:
+            _before = gc.get_threshold()
+            # 0 means that the user has switched the collector off.
+            if 0 < _before[0] < COLLECT_AFTER:
+                gc.set_threshold(COLLECT_AFTER, *_before[1:])
+        _inside += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside -= 1
+            if _inside == 0:
+                gc.set_threshold(*_before)

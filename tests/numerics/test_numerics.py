@@ -1,3 +1,5 @@
+import gc
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -5,6 +7,7 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
+from jaxgray.numerics.filters import correlation, filtered
 from jaxgray.numerics.lifting import free_response, respond
 from jaxgray.numerics.linear_algebra import (
     dominant_subspace,
@@ -20,6 +23,7 @@ from jaxgray.numerics.matrix_logarithm import matrix_logarithm
 from jaxgray.numerics.outcomes import ComputationError
 from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver
 from jaxgray.numerics.riccati import kalman_gain
+from jaxgray.numerics.runtime import COLLECT_AFTER, rarely_collecting
 
 
 @pytest.mark.parametrize("samples", [1, 31, 32, 500, 5000])
@@ -180,3 +184,43 @@ def test_kalman_gain_solves_the_riccati_equation():
     gain, found = kalman_gain(A, C, Q, S, R)
     np.testing.assert_allclose(found, innovation, rtol=1e-9)
     np.testing.assert_allclose(gain, np.linalg.solve(innovation, (A @ P @ C.T + S).T).T, rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "numerator, denominator", [([1.0], [1.0, -1.9, 0.95]), ([0.0, 2.0, -1.0], [2.0, -1.8]), ([1.0, -0.7, 0.2], [1.0])]
+)
+def test_filters_equal_those_of_scipy(numerator, denominator):
+    x = np.random.default_rng(0).standard_normal((300, 2, 3))
+    for axis in (0, 2):
+        expected = scipy.signal.lfilter(numerator, denominator, x, axis=axis)
+        np.testing.assert_allclose(filtered(numerator, denominator, x, axis=axis), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [6, 257])
+def test_correlation_equals_that_of_scipy(samples):
+    a, b = np.random.default_rng(0).standard_normal((2, samples))
+    expected = scipy.signal.correlate(a, b)[samples - 1 - 5 : samples + 5]
+    np.testing.assert_allclose(correlation(a, b, 5), expected, atol=1e-12)
+
+
+def test_arrays_on_the_host_stay_there_with_the_same_result():
+    X = np.random.default_rng(0).standard_normal((3, 3))
+    X = X + X.T
+    for function in (project_positive, symmetric_vector, lambda M: from_symmetric_vector(symmetric_vector(M))):
+        here, there = function(X), function(jnp.asarray(X))
+        assert isinstance(here, np.ndarray) and isinstance(there, jax.Array)
+        np.testing.assert_allclose(here, there, atol=1e-14)
+    np.testing.assert_allclose(here, X, atol=1e-14)
+
+
+def test_collector_runs_rarely_only_meanwhile():
+    usual = gc.get_threshold()
+    try:
+        gc.set_threshold(700, 11, 12)
+        with rarely_collecting():
+            with rarely_collecting():
+                assert gc.get_threshold() == (COLLECT_AFTER, 11, 12)
+            assert gc.get_threshold() == (COLLECT_AFTER, 11, 12)
+        assert gc.get_threshold() == (700, 11, 12)
+    finally:
+        gc.set_threshold(*usual)
