@@ -153,7 +153,7 @@ def _antiresonance_errors(model, entries, covariance):
     if not pencils:
         return found
     sources, places, numbers, inputs, outputs, values, left, right = zip(*pencils)
-    arrays = (jnp.asarray(np.array(x)) for x in (values, left, right, inputs, outputs, T))
+    arrays = (np.array(x) for x in (values, left, right, inputs, outputs, T))
     J = np.asarray(_zero_jacobian(model, entries, *arrays))
     values = np.array(values)[:, None]
     along = (values.conj() * J).real / np.abs(values)
