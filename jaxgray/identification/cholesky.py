@@ -24,8 +24,9 @@ SETTLING = 1e-4
 """The weights are renewed when a step promises less than this share of the sum of squares."""
 NEAR = 0.1
 """Stop when a step would change the sum of squares by less than this, in units of the noise variance: the steps over
-the cone that follow are exact. Where they start at its edge they are ill-conditioned, and want a nearer end."""
+the cone that follow are exact."""
 NEAR_EDGE = 1e-6
+"""The same for a start at the edge of the cone, from where those steps are ill-conditioned."""
 
 
 def pack(blocks: list[Array], scales: list[Array], logarithmic: tuple[bool, ...]) -> list[Array]:
@@ -218,5 +219,8 @@ def _step(
     H = H / scale[:, None] / scale[None, :] + 1e-13 * np.eye(len(scale))
     if not np.all(np.isfinite(H)) or not np.all(np.isfinite(g)):
         return g, np.nan
-    step = -np.linalg.solve(H, g / scale)
+    try:
+        step = -np.linalg.solve(H, g / scale)
+    except np.linalg.LinAlgError:
+        return g, np.nan
     return step / scale, float(-step @ (g / scale))

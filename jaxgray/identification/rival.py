@@ -236,7 +236,7 @@ def fit_rival(poles: Float[np.ndarray, "modes 2"], data: Whitened, *, steps: int
         variance = max(here.cost / max(data.count - here.parameters, 1.0), 1e-300)
         size = np.maximum(np.diag(gram), 1e-12 * np.max(np.diag(gram)))
         better = None
-        while damping < 1e6:
+        while damping < 1e6 and np.all(size > 0):
             step = np.linalg.solve(gram + damping * np.diag(size), slope)
             if not float(slope @ step) > SETTLED * variance:
                 break

@@ -65,6 +65,23 @@ class PositiveLeastSquares(eqx.Module):
         except np.linalg.LinAlgError:
             return np.full(len(target), np.nan)
 
+    @property
+    def unit(self) -> np.ndarray:
+        """Square root of every variable's curvature (on the host)."""
+        diagonal = np.diag(self.quadratic)
+        return np.sqrt(np.maximum(diagonal, max(1e-16 * np.max(diagonal), np.finfo(float).tiny)))
+
+    @property
+    def lowest(self) -> np.ndarray:
+        """The floors as matrices, stacked as the variables (on the host)."""
+        return np.concatenate(
+            [floor * (duplication(n).T @ np.eye(n).ravel()) for n, floor in zip(self.sizes, self.floors)]
+        )
+
+    def split(self, z: np.ndarray) -> list[np.ndarray]:
+        """The parts of the single blocks (on the host)."""
+        return np.split(z, np.cumsum([n * (n + 1) // 2 for n in self.sizes])[:-1])
+
     def on_host(self) -> "PositiveLeastSquares":
         """The same problem in NumPy arrays, for which nothing is compiled."""
         return jax.tree_util.tree_map(np.asarray, self)
@@ -96,26 +113,31 @@ class ClarabelSolver(AbstractPositiveSolver):
         free, floors = problem.unconstrained(), problem.floors
         if np.all(np.isfinite(free)) and inside_cone(free, problem.sizes, floors):
             return free
-        P, q = problem.quadratic, problem.linear
-        scale = 1.0 / max(np.max(np.abs(np.diag(P))), np.finfo(float).tiny)
-        size = np.sqrt(np.mean(free**2)) if np.all(np.isfinite(free)) and np.any(free) else 1.0
-        bound = np.concatenate(
-            [-floor / size * (duplication(n).T @ np.eye(n).ravel()) for n, floor in zip(problem.sizes, floors)]
-        )
+        # The unknown is the step from the values at hand, every entry in units of its own curvature: the gap that the
+        # solver leaves is then small beside what the step is worth, not beside the whole sum of squares.
+        P, q, unit = problem.quadratic, problem.linear, problem.unit
+        begin = np.zeros(len(q)) if problem.values is None else problem.values
+        slope = (q + P @ begin) / unit
+        size = np.linalg.norm((free - begin) * unit) if np.all(np.isfinite(free)) else np.linalg.norm(slope)
+        size = size if size > 0 else 1.0
+        step = size / unit
+        edge = begin - problem.lowest
+        # A positive factor for a whole block leaves its cone as it is.
+        ratio = np.concatenate([np.full(len(part), 1 / np.max(part)) for part in problem.split(step)])
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self.tolerance
         settings.max_iter = 200
-        rows, right = [-np.eye(len(q))], [bound]
+        rows, right = [-np.diag(step * ratio)], [edge * ratio]
         cones = [clarabel.PSDTriangleConeT(n) for n in problem.sizes]
         if problem.held is not None and np.any(problem.held):
             held = problem.held
             rows.append(np.eye(len(q))[held])
-            right.append(problem.values[held] / size)
+            right.append(np.zeros(int(held.sum())))
             cones.append(clarabel.ZeroConeT(int(held.sum())))
         solver = clarabel.DefaultSolver(
-            sparse.csc_matrix(np.triu(P) * scale),
-            q * scale / size,
+            sparse.csc_matrix(np.triu(P / unit[:, None] / unit[None, :])),
+            slope / size,
             sparse.csc_matrix(np.concatenate(rows)),
             np.concatenate(right),
             cones,
@@ -128,7 +150,10 @@ class ClarabelSolver(AbstractPositiveSolver):
                 stage="semidefinite fit",
                 detail=f"Clarabel says {solution.status}",
             )
-        return _polished(problem, size * np.asarray(solution.x))
+        ends = [_polished(problem, begin + step * np.asarray(solution.x))]
+        if problem.values is not None:
+            ends.append(_polished(problem, begin))
+        return min(ends, key=lambda end: end[1])[0]
 
 
 def inside_cone(z: np.ndarray, sizes: tuple[int, ...], floors: np.ndarray) -> bool:
@@ -162,19 +187,17 @@ def _projection_parts(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ) @ rotation.T @ basis
 
 
-def _polished(problem: PositiveLeastSquares, z: np.ndarray, steps: int = 8) -> np.ndarray:
+def _polished(problem: PositiveLeastSquares, z: np.ndarray, steps: int = 8) -> tuple[np.ndarray, float]:
     """Newton steps on the fixed-point condition of the optimum, each kept only where it helps.
 
     An interior-point method leaves an error of the square root of its gap; from there the semismooth Newton
-    method is quadratic.
+    method is quadratic. Returns the point and how far it is from meeting the condition.
     """
-    P, q = problem.quadratic, problem.linear
-    curvature = np.linalg.norm(P, ord=2)
-    P, q = P / curvature, q / curvature
-    ends = np.cumsum([n * (n + 1) // 2 for n in problem.sizes])[:-1]
-    shift = np.concatenate(
-        [floor * (duplication(n).T @ np.eye(n).ravel()) for n, floor in zip(problem.sizes, problem.floors)]
-    )
+    P, q, shift = problem.quadratic, problem.linear, problem.lowest
+    # The condition holds for any positive length of the gradient step, one for every block.
+    curvature = problem.unit**2
+    length = np.concatenate([np.full(len(part), 1 / np.max(part)) for part in problem.split(curvature)])
+    P, q = length[:, None] * P, length * q
     held = np.zeros(len(q), bool) if problem.held is None else problem.held
     pick = np.eye(len(q))[held]
     given = np.zeros(0) if problem.held is None else problem.values[held]
@@ -182,7 +205,7 @@ def _polished(problem: PositiveLeastSquares, z: np.ndarray, steps: int = 8) -> n
 
     def condition(z, multiplier):
         target = z - (P @ z + q) - pick.T @ multiplier - shift
-        parts = [_projection_parts(part) for part in np.split(target, ends)]
+        parts = [_projection_parts(part) for part in problem.split(target)]
         projected = np.concatenate([part for part, _ in parts]) + shift
         value = np.concatenate([z - projected, pick @ z - given])
         slope = scipy.linalg.block_diag(*[derivative for _, derivative in parts])
@@ -202,7 +225,7 @@ def _polished(problem: PositiveLeastSquares, z: np.ndarray, steps: int = 8) -> n
         if not np.linalg.norm(found) < np.linalg.norm(value):
             break
         (z, multiplier), value, slope = trial, found, found_slope
-    return z
+    return z, float(np.linalg.norm(value * np.append(problem.unit, np.ones(len(pick)))))
 
 
 class FreeSolver(AbstractPositiveSolver):
