@@ -140,7 +140,7 @@ def _slopes(matrices, entries):
 
 def matrix_errors(fit: Refit, setup: Setup) -> dict[str, np.ndarray]:
     """Standard errors of every entry of mass, damping and stiffness."""
-    entries = jnp.asarray(fit.candidate.entries)
+    entries = np.asarray(fit.candidate.entries)
     slopes = _slopes(setup.matrices, entries)
     covariance = fit.covariance[: len(entries), : len(entries)]
     return {

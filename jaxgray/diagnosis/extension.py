@@ -7,7 +7,6 @@ K ⪰ 0, and each bounded parameter of an effect as a block of one.
 import dataclasses
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -177,12 +176,12 @@ class _Step:
         if np.all(np.isfinite(plain)) and inside_cone(here + plain, self.sizes, floors):
             return plain
         problem = PositiveLeastSquares(
-            jnp.asarray(quadratic),
-            jnp.asarray(slope - quadratic @ here),
-            jnp.asarray(floors),
+            np.asarray(quadratic),
+            np.asarray(slope - quadratic @ here),
+            np.asarray(floors),
             self.sizes,
-            jnp.asarray(held) if held.any() else None,
-            jnp.asarray(here) if held.any() else None,
+            np.asarray(held) if held.any() else None,
+            np.asarray(here) if held.any() else None,
         )
         try:
             return np.asarray(self.solver(problem)) - here

@@ -154,7 +154,7 @@ def _columns(shapes):
     for s in shapes:
         laws.setdefault(s.effect.id, s.effect)
         vectors.setdefault(s.effect.id, []).extend(s.basis)
-    return tuple(laws.values()), [jnp.asarray(np.stack(vectors[name])) for name in laws]
+    return tuple(laws.values()), [np.asarray(np.stack(vectors[name])) for name in laws]
 
 
 def _in_order(shapes, laws, results):
@@ -178,14 +178,14 @@ def _force_columns(shapes, plant, motion, data, outputs):
     series = _force_series(
         laws,
         vectors,
-        jnp.asarray(motion.q),
-        jnp.asarray(motion.v),
-        jnp.asarray(u),
-        jnp.asarray(data.u),
+        np.asarray(motion.q),
+        np.asarray(motion.v),
+        np.asarray(u),
+        np.asarray(data.u),
         arm,
         plant,
-        jnp.asarray(data.sampling_time),
-        jnp.asarray(data.scheduling),
+        np.asarray(data.sampling_time),
+        np.asarray(data.scheduling),
     )
     forces = np.concatenate([np.asarray(s) for s in series])[_in_order(shapes, laws, series)]
     return _responses(
@@ -235,8 +235,8 @@ def _responses(plant, columns, start, end, time, outputs, *, forced):
     for k in range(0, total, BATCH):
         part = slice(k, min(k + BATCH, total))
         pad = BATCH - (part.stop - part.start)
-        two = [jnp.asarray(np.pad(np.asarray(X)[part], ((0, pad), (0, 0), (0, 0)))) for X in (start, end)]
-        y = _respond_many(plant, columns, *two, jnp.asarray(time), forced)
+        two = [np.asarray(np.pad(np.asarray(X)[part], ((0, pad), (0, 0), (0, 0)))) for X in (start, end)]
+        y = _respond_many(plant, columns, *two, np.asarray(time), forced)
         made[part] = np.asarray(y)[: BATCH - pad, :, :outputs]
     return made
 
@@ -262,12 +262,12 @@ def _respond_many(plant, columns, start, end, time, forced):
 def _input_columns(shapes, plant, motion, data, outputs):
     j = shapes[0].place.first
     laws, vectors = _columns(shapes)
-    start, end = held_input(jnp.asarray(data.u), data.hold)
-    changes = _input_changes(laws, vectors, start[:, j], end[:, j], jnp.asarray(data.sampling_time))
+    start, end = held_input(np.asarray(data.u), data.hold)
+    changes = _input_changes(laws, vectors, start[:, j], end[:, j], np.asarray(data.sampling_time))
     order = _in_order(shapes, laws, [c[0] for c in changes])
     first, last = (np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in (0, 1))
     column = np.eye(input_matrix_of(plant.drive).shape[1])[:, j : j + 1]
-    return _responses(plant, jnp.asarray(column), first, last, data.sampling_time, outputs, forced=False)
+    return _responses(plant, np.asarray(column), first, last, data.sampling_time, outputs, forced=False)
 
 
 @eqx.filter_jit
@@ -290,9 +290,9 @@ def _output_columns(shapes, plant, motion, data, outputs):
     if shapes[0].place.second >= 0:
         source = np.concatenate([motion.y, data.u], axis=1)[:, shapes[0].place.second]
     laws, vectors = _columns(shapes)
-    source, time = jnp.asarray(source), jnp.asarray(data.sampling_time)
+    source, time = np.asarray(source), np.asarray(data.sampling_time)
     for k in range(outputs) if first < 0 else (first,):
-        changes = _output_changes(laws, vectors, jnp.asarray(motion.y[:, k]), source, time)
+        changes = _output_changes(laws, vectors, np.asarray(motion.y[:, k]), source, time)
         made[:, :, k] = np.concatenate([np.asarray(c) for c in changes])[_in_order(shapes, laws, changes)]
     return made
 
@@ -305,8 +305,8 @@ def _output_changes(laws, vectors, y, source, time):
 
 
 def _matrix_columns(shapes, plant, motion, data, outputs):
-    start, end = held_input(jnp.asarray(data.u), data.hold)
-    time = jnp.asarray(data.sampling_time)
+    start, end = held_input(np.asarray(data.u), data.hold)
+    time = np.asarray(data.sampling_time)
     laws, vectors = _columns(shapes)
     dofs = plant.mass.shape[0]
     changed = [
@@ -319,12 +319,12 @@ def _matrix_columns(shapes, plant, motion, data, outputs):
     drive = with_coordinates(plant.drive, total)
     measured = plant.measured + ("displacement",) * (total - dofs)
     made = np.empty((len(order), len(data.u), outputs))
-    alone = [jnp.asarray(X)[None] for X in (plant.mass, plant.damping, plant.stiffness)]
+    alone = [np.asarray(X)[None] for X in (plant.mass, plant.damping, plant.stiffness)]
     still = np.asarray(_linear_runs(*alone, plant.drive, plant.measured, start, end, time))[0]
     for k in range(0, len(order), BATCH):
         part = [X[k : k + BATCH] for X in matrices]
         count = len(part[0])
-        part = [jnp.asarray(np.concatenate([X, np.repeat(X[-1:], BATCH - count, axis=0)])) for X in part]
+        part = [np.asarray(np.concatenate([X, np.repeat(X[-1:], BATCH - count, axis=0)])) for X in part]
         y = np.asarray(_linear_runs(*part, drive, measured, start, end, time))
         made[k : k + count] = y[:count, :, :outputs] - still[None, :, :outputs]
     return made
@@ -335,7 +335,7 @@ def _arms(shapes, dofs):
     eye = np.concatenate([np.eye(dofs), np.zeros((1, dofs))])
     first = [s.place.first for s in shapes for _ in s.basis]
     second = [s.place.second for s in shapes for _ in s.basis]
-    return jnp.asarray(eye[first]), jnp.asarray(eye[second])
+    return np.asarray(eye[first]), np.asarray(eye[second])
 
 
 @eqx.filter_jit

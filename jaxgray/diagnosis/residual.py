@@ -69,14 +69,14 @@ class Chain:
         not `used` zero after it."""
         if self.is_white:
             return ((X * used).reshape(-1, X.shape[2]) @ np.linalg.inv(self.lower).T).reshape(X.shape)
-        arrays = [jnp.asarray(a) for a in (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)]
+        arrays = [np.asarray(a) for a in (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)]
         result = np.empty(X.shape)
         for k in range(0, len(X), MOST_ROWS):
             part = X[k : k + MOST_ROWS]
             count, wanted = len(part), -(-len(part) // ROWS) * ROWS
             if wanted > count:
                 part = np.concatenate([part, np.zeros((wanted - count, *X.shape[1:]))])
-            result[k : k + count] = np.asarray(_whiten(*arrays, jnp.asarray(part)))[:count]
+            result[k : k + count] = np.asarray(_whiten(*arrays, np.asarray(part)))[:count]
         return result
 
     @property
@@ -153,9 +153,9 @@ def estimate_chain(
     rows = np.all(used, axis=1)
     level = np.mean(e[rows] ** 2, axis=0) if rows.any() else np.ones(e.shape[1])
     V = np.maximum(white_part(e, kept), _FLOOR * np.maximum(level, 1e-300)) + 1e-300
-    arrays = [jnp.asarray(X) for X in (system.A, system.B, system.C, system.D, force, np.diag(V))]
+    arrays = [np.asarray(X) for X in (system.A, system.B, system.C, system.D, force, np.diag(V))]
     A, C = arrays[0], arrays[2]
-    residual = jnp.asarray(e)
+    residual = np.asarray(e)
     tried = []
     for ratio in RATIOS[RATIOS > 0]:
         gain = _gain(*arrays, ratio)
@@ -232,14 +232,14 @@ def smoothed_states(
     gain, innovation = (
         np.asarray(X)
         for X in _kalman_gain(
-            *map(jnp.asarray, (A, C, Q, np.zeros((len(A), len(C))), np.diag(V) + D * (ratio * force) @ D.T))
+            *map(np.asarray, (A, C, Q, np.zeros((len(A), len(C))), np.diag(V) + D * (ratio * force) @ D.T))
         )
     )
     predicted_gain = np.linalg.solve(A, gain) if np.linalg.cond(A) < 1e12 else np.linalg.pinv(A) @ gain
     states = len(A)
     eye = np.eye(states)
-    residual = jnp.asarray(np.where(kept, e, 0.0))
-    ahead = np.asarray(_respond(*map(jnp.asarray, (A - gain @ C, gain, eye, np.zeros((states, len(C))))), residual))
+    residual = np.asarray(np.where(kept, e, 0.0))
+    ahead = np.asarray(_respond(*map(np.asarray, (A - gain @ C, gain, eye, np.zeros((states, len(C))))), residual))
     epsilon = np.asarray(residual) - ahead @ C.T
     here = ahead + epsilon @ predicted_gain.T
     P = scipy.linalg.solve_discrete_lyapunov(A - gain @ C, Q + gain @ (np.diag(V) + D * (ratio * force) @ D.T) @ gain.T)
@@ -247,5 +247,5 @@ def smoothed_states(
     back = np.linalg.lstsq(P.T, (filtered @ A.T).T, rcond=1e-12)[0].T
     # x_s[k] = here[k] + back (x_s[k+1] − ahead[k+1]), run from the end.
     drive = here[:-1] - ahead[1:] @ back.T
-    turned = _respond(*map(jnp.asarray, (back, eye, back, eye)), jnp.asarray(drive[::-1]), jnp.asarray(here[-1]))
+    turned = _respond(*map(np.asarray, (back, eye, back, eye)), np.asarray(drive[::-1]), np.asarray(here[-1]))
     return np.concatenate([np.asarray(turned)[::-1], here[-1:]])

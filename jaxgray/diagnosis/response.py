@@ -153,14 +153,15 @@ class Simulator:
 
     def _plant(self, candidate: Candidate):
         terms = _only(candidate.terms, AbstractMatrixEffect)
-        return _plant_stage(
-            jnp.asarray(candidate.entries),
-            jnp.asarray(_values(terms)),
+        stage = _plant_stage(
+            np.asarray(candidate.entries),
+            np.asarray(_values(terms)),
             self.setup.matrices,
             self.setup.drive,
             self.setup.measured,
             forms(terms),
         )
+        return jax.device_get(stage)
 
     def plant(self, candidate: Candidate) -> Plant:
         """The plant of a candidate, with its matrix terms."""
@@ -168,34 +169,33 @@ class Simulator:
 
     def _inputs(self, candidate: Candidate, data: Data):
         terms = _only(candidate.terms, AbstractInputEffect)
-        start, end = held_input(jnp.asarray(data.u), data.hold)
+        start, end = held_input(np.asarray(data.u), data.hold)
         if not terms:
             return (start, end), None
-        return _input_stage(jnp.asarray(_values(terms)), start, end, _time(data), forms(terms))
+        return _input_stage(np.asarray(_values(terms)), start, end, _time(data), forms(terms))
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
         """Outputs of a candidate on one record, padding included."""
         plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
-        y = _run(plant, x0, start, end, slots, _time(data), table, jnp.asarray(data.scheduling), self._steps(slots))[
-            :, : self.setup.dofs
-        ]
+        y = _run(plant, x0, start, end, slots, _time(data), table, np.asarray(data.scheduling), self._steps(slots))
+        y = np.asarray(y)[:, : self.setup.dofs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
-            flat = jnp.asarray(_values(terms))
-            y = _output_only(flat, y, jnp.asarray(data.u), _time(data), forms(terms))
+            flat = np.asarray(_values(terms))
+            y = _output_only(flat, y, np.asarray(data.u), _time(data), forms(terms))
         return np.asarray(y)
 
     def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Displacements and velocities of all coordinates on one record, padding included."""
         plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
         q, v = _motion(
-            plant, x0, start, end, slots, _time(data), table, jnp.asarray(data.scheduling), self._steps(slots)
+            plant, x0, start, end, slots, _time(data), table, np.asarray(data.scheduling), self._steps(slots)
         )
         return np.asarray(q), np.asarray(v)
 
     def _steps(self, slots):
         # As an array, so that any number above one is compiled once.
-        return 1 if slots is None or self.substeps == 1 else jnp.asarray(self.substeps)
+        return 1 if slots is None or self.substeps == 1 else np.asarray(self.substeps)
 
     def _parts(self, candidate, data, record):
         plant, dplant = self._plant(candidate)
@@ -205,7 +205,7 @@ class Simulator:
         dofs, total = self.setup.dofs, plant.mass.shape[0]
         x0 = np.zeros(2 * total)
         x0[:dofs], x0[total : total + dofs] = np.split(candidate.x0[record], 2)
-        return plant, jnp.asarray(x0), start, end, slots, table, dplant, dinput
+        return plant, np.asarray(x0), start, end, slots, table, dplant, dinput
 
     def run_and_jacobian(
         self, candidate: Candidate, data: Data, record: int = 0
@@ -260,7 +260,7 @@ class Simulator:
                 at["input"] += count
             else:
                 at["output"] += count
-        scheduling = jnp.asarray(data.scheduling)
+        scheduling = np.asarray(data.scheduling)
 
         def derivative(columns, dstart, dend, count):
             rows = []
@@ -285,10 +285,8 @@ class Simulator:
         if terms:
             width = _rounded(J.shape[2])
             wide = np.pad(J, ((0, 0), (0, 0), (0, width - J.shape[2])))
-            flat = jnp.asarray(_values(terms))
-            y, carried, extra = _output_stage(
-                flat, jnp.asarray(y), jnp.asarray(data.u), jnp.asarray(wide), _time(data), forms(terms)
-            )
+            flat = np.asarray(_values(terms))
+            y, carried, extra = _output_stage(flat, y, np.asarray(data.u), wide, _time(data), forms(terms))
             y, J, extra = np.asarray(y), np.asarray(carried)[:, :, : J.shape[2]], np.asarray(extra)
         first = len(columns)
         picked = [
@@ -307,4 +305,4 @@ def _pad(X, count: int) -> np.ndarray:
 
 def _time(data: Data) -> Array:
     # As an array, since a plain number would be compiled in.
-    return jnp.asarray(data.sampling_time)
+    return np.asarray(data.sampling_time)

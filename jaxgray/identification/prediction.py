@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg as jsl
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..mechanics.drives import AbstractDrive
@@ -43,7 +44,8 @@ class Batch(eqx.Module):
 
         def stack(name):
             parts = [getattr(s, name) for s in signals]
-            return jnp.stack([jnp.pad(part, ((0, length - part.shape[0]), (0, 0))) for part in parts])
+            padded = [np.pad(np.asarray(part), ((0, length - part.shape[0]), (0, 0))) for part in parts]
+            return jax.device_put(np.stack(padded))
 
         return cls(stack("u"), stack("y"), stack("kept"))
 

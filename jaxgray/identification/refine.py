@@ -100,16 +100,6 @@ def levenberg_marquardt(
     return unpack(vectors, scales, logarithmic, sizes), found, solution.stats["num_steps"]
 
 
-@eqx.filter_jit
-def _blocks(structure: Structure, matrices: tuple[Array, Array, Array], lift: Float[Array, ""]) -> list[Array]:
-    return structure.blocks(*matrices, lift=lift)
-
-
-@eqx.filter_jit
-def _matrices(structure: Structure, blocks: list[Array], dofs: int) -> tuple[Array, Array, Array]:
-    return structure.matrices(blocks, dofs)
-
-
 def on_edge(blocks: list[Array]) -> bool:
     """Whether any block is closer to singular than the first lift."""
     values = [np.linalg.eigvalsh(np.asarray(block)) for block in blocks]
@@ -159,6 +149,7 @@ def refine(
     **Reference:** Ljung, *System Identification*, §7.4 (determinant criterion) and §10.2.
     """
     structure = Structure() if structure is None else structure
+    start = tuple(np.asarray(X) for X in start)
     outputs = batch.y.shape[2]
     kept = np.asarray(batch.kept)
     correlated = bool(np.all(np.sum(kept, axis=2) % outputs == 0))
@@ -174,14 +165,14 @@ def refine(
 
     taken, first, samples = 0, None, float(np.sum(kept))
     if fixed is not None and np.any(fixed):
-        blocks = _blocks(structure, start, np.float64(0.0))
+        blocks = structure.blocks(*start, lift=0.0)
     else:
-        begun = _blocks(structure, start, np.float64(0.0))
+        begun = structure.blocks(*start, lift=0.0)
         edge = on_edge(begun)
         # At the edge the start itself may be better than what Cholesky factors make of it.
         ends = [at_start(begun, nuisance, whitening, evaluate, correlated=correlated)] if edge else []
         for lift in LIFTS if edge else LIFTS[:1]:
-            lifted = _blocks(structure, start, np.float64(lift))
+            lifted = structure.blocks(*start, lift=lift)
             end = cholesky_steps(
                 lifted,
                 nuisance,
@@ -215,7 +206,7 @@ def refine(
     )
     if not np.isfinite(end.normal.cost):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement")
-    M, D, K = _matrices(structure, end.blocks, setting_dofs(setting))
+    M, D, K = structure.matrices(end.blocks, setting_dofs(setting))
     count = samples - end.normal.information.shape[0]
     return Refinement(
         M,

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.lifting import respond
+from ..numerics.namespace import namespace
 from .drives import AbstractDrive, Force
 from .effects.base import (
     AbstractEffect,
@@ -29,8 +30,8 @@ def with_coordinates(drive: AbstractDrive, dofs: int) -> AbstractDrive:
     name = "input_map" if isinstance(drive, Force) else "direction"
     matrix = getattr(drive, name)
     fill = 0.0 if isinstance(drive, Force) else 1.0
-    padding = jnp.full((dofs - matrix.shape[0], matrix.shape[1]), fill)
-    return eqx.tree_at(lambda d: getattr(d, name), drive, jnp.concatenate([matrix, padding]))
+    padding = np.full((dofs - matrix.shape[0], matrix.shape[1]), fill)
+    return eqx.tree_at(lambda d: getattr(d, name), drive, namespace(matrix).concatenate([matrix, padding]))
 
 
 def input_matrix_of(drive: AbstractDrive) -> Float[Array, "dofs inputs"]:
@@ -104,7 +105,7 @@ def motion_run(
 
 def held_input(u: Float[Array, "samples inputs"], hold: str) -> tuple[Array, Array]:
     """Input at the start and at the end of every sample."""
-    return u, u if hold == "zero" else jnp.concatenate([u[1:], u[-1:]])
+    return u, u if hold == "zero" else namespace(u).concatenate([u[1:], u[-1:]])
 
 
 def arm_along(effect: AbstractEffect, place: Place, input_map) -> Float[Array, " dofs"]:
@@ -120,7 +121,7 @@ def arm_along(effect: AbstractEffect, place: Place, input_map) -> Float[Array, "
 
 def arm_of(term: Term, plant: Plant) -> Float[Array, " dofs"]:
     """Unit vector b along which a term's force acts."""
-    return jnp.asarray(arm_along(term.effect, term.place, input_matrix_of(plant.drive)))
+    return arm_along(term.effect, term.place, input_matrix_of(plant.drive))
 
 
 def slots_of(terms: tuple[Term, ...], plant: Plant, laws: tuple[AbstractForceEffect, ...]) -> Slots | None:
@@ -132,13 +133,14 @@ def slots_of(terms: tuple[Term, ...], plant: Plant, laws: tuple[AbstractForceEff
     if not forces:
         return None
     width = max(len(law.parameters) for law in laws)
-    values = [jnp.pad(jnp.asarray(t.values), (0, width - len(t.effect.parameters))) for t in forces]
+    xp = namespace(*(t.values for t in forces), plant.drive.input_map if isinstance(plant.drive, Force) else None)
+    values = [xp.pad(xp.asarray(t.values), (0, width - len(t.effect.parameters))) for t in forces]
     channels = [t.place.first if t.effect.places == "input" else -1 for t in forces]
     return Slots(
-        jnp.asarray([laws.index(t.effect) for t in forces]),
-        jnp.stack([arm_of(t, plant) for t in forces]),
-        jnp.asarray(channels),
-        jnp.stack(values),
+        np.asarray([laws.index(t.effect) for t in forces]),
+        xp.stack([arm_of(t, plant) for t in forces]),
+        np.asarray(channels),
+        xp.stack(values),
     )
 
 
