@@ -28,10 +28,10 @@ import numpy as np  # noqa: E402
 import jaxgray  # noqa: E402
 from jaxgray.identification.compression import factors  # noqa: E402
 from jaxgray.identification.filter_bank import pole  # noqa: E402
+from jaxgray.identification.many_steps import One, refine_one  # noqa: E402
 from jaxgray.identification.options import drive_of  # noqa: E402
 from jaxgray.identification.prediction import Batch, Nuisance, Setting, free_run  # noqa: E402
 from jaxgray.identification.preparation import prepare, scaling_of  # noqa: E402
-from jaxgray.identification.refine import levenberg_marquardt  # noqa: E402
 from jaxgray.identification.structure import Structure  # noqa: E402
 
 H = data.REFERENCE_TIME
@@ -53,8 +53,6 @@ def cases(records, samples):
     """Name, compiled function, its arguments as arrays."""
     signals, setting, start = prepared(records, samples)
     batch = Batch.of(signals)
-    structure = Structure()
-    blocks = structure.blocks(*start, lift=0.0)
 
     def resting(count):
         return Nuisance(jnp.zeros((count, 4)), jnp.zeros((count, 2)), None)
@@ -64,11 +62,9 @@ def cases(records, samples):
         return free_run(setting.system(*matrices), batch, resting(batch.u.shape[0]))
 
     @jax.jit
-    def refine(blocks, batch):
+    def refine(start, batch):
         def one(u, y, kept):
-            alone = Batch(u[None], y[None], kept[None])
-            found, _, _ = levenberg_marquardt(blocks, resting(1), jnp.eye(2), alone, setting, structure)
-            return found
+            return refine_one(start, One(u, y, kept, kept[:, 0]), setting, Structure()).matrices
 
         return jax.vmap(one)(batch.u, batch.y, batch.kept)
 
@@ -83,7 +79,7 @@ def cases(records, samples):
 
     return (
         (f"simulate {records} records of {samples}", simulate, (start, batch)),
-        (f"refine {records} records of {samples}", refine, (blocks, batch)),
+        (f"refine {records} records of {samples}", refine, (start, batch)),
         (f"factors of {TIME_CONSTANTS} τ, 20 000 samples", compress, (poles, longest[0].stacked, longest[0].inside)),
     )
 

@@ -4,6 +4,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 from .numerics.notebook import show_with
+from .numerics.threads import widen as _widen
 
 if TYPE_CHECKING:
     from .diagnosis.diagnose import diagnose as diagnose
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from .report.exports import to_control as to_control
     from .report.exports import to_scipy as to_scipy
     from .report.page import write_report as write_report
+
+_widen()
 
 _HOMES = {
     "diagnosis.diagnose": ("diagnose",),

@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..identification.validation import fit_of
@@ -118,7 +117,7 @@ def _member(fit: Refit, final: Refit | None, index: int, setup: Setup, record: R
 
 def model_of(candidate: Candidate, like: MechanicalModel, setup: Setup) -> MechanicalModel:
     """The model of a candidate, its terms among its effects."""
-    M, D, K = (np.asarray(X) for X in setup.matrices(jnp.asarray(candidate.entries)))
+    M, D, K = (np.asarray(X) for X in setup.matrices(np.asarray(candidate.entries)))
     return MechanicalModel(
         (M + M.T) / 2,
         (D + D.T) / 2,

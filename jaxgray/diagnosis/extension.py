@@ -176,12 +176,12 @@ class _Step:
         if np.all(np.isfinite(plain)) and inside_cone(here + plain, self.sizes, floors):
             return plain
         problem = PositiveLeastSquares(
-            np.asarray(quadratic),
-            np.asarray(slope - quadratic @ here),
-            np.asarray(floors),
+            quadratic,
+            slope - quadratic @ here,
+            floors,
             self.sizes,
-            np.asarray(held) if held.any() else None,
-            np.asarray(here) if held.any() else None,
+            held if held.any() else None,
+            here if held.any() else None,
         )
         try:
             return np.asarray(self.solver(problem)) - here

@@ -154,7 +154,7 @@ def _columns(shapes):
     for s in shapes:
         laws.setdefault(s.effect.id, s.effect)
         vectors.setdefault(s.effect.id, []).extend(s.basis)
-    return tuple(laws.values()), [np.asarray(np.stack(vectors[name])) for name in laws]
+    return tuple(laws.values()), [np.stack(vectors[name]) for name in laws]
 
 
 def _in_order(shapes, laws, results):
@@ -170,57 +170,47 @@ def _in_order(shapes, laws, results):
 
 
 def _force_columns(shapes, plant, motion, data, outputs):
-    term = Term(shapes[0].effect, shapes[0].place, jnp.zeros(0))
+    term = Term(shapes[0].effect, shapes[0].place, np.zeros(0))
     arm = arm_of(term, plant)
     channel = shapes[0].place.first if shapes[0].effect.places == "input" else -1
     laws, vectors = _columns(shapes)
     u = np.zeros(len(data.u)) if channel < 0 else data.u[:, channel]
-    series = _force_series(
-        laws,
-        vectors,
-        np.asarray(motion.q),
-        np.asarray(motion.v),
-        np.asarray(u),
-        np.asarray(data.u),
-        arm,
-        plant,
-        np.asarray(data.sampling_time),
-        np.asarray(data.scheduling),
-    )
+    here = _seen(motion.q, motion.v, u, data.u, arm, plant, data.time_step, data.scheduling)
+    series = [_force_series(law, stacked, here, data.time_step) for law, stacked in zip(laws, vectors)]
     forces = np.concatenate([np.asarray(s) for s in series])[_in_order(shapes, laws, series)]
     return _responses(
-        plant, -arm[:, None], forces[:, :, None], _next(forces)[:, :, None], data.sampling_time, outputs, forced=True
+        plant, -arm[:, None], forces[:, :, None], _next(forces)[:, :, None], data.time_step, outputs, forced=True
     )
 
 
 @eqx.filter_jit
-def _force_series(laws, vectors, q, v, u, inputs, arm, plant, time, scheduling):
-    """Forces over time for every law and basis vector, from one motion."""
-    dofs = q.shape[1]
+def _seen(q, v, u, inputs, arm, plant, time, scheduling):
+    """What a force law sees of one motion at its place."""
+    samples, dofs = q.shape
     C, D = local_rows(plant, jnp.eye(dofs), time)
     a = arm @ (C[2] @ jnp.concatenate([q, v * time], axis=1).T + D[2] @ inputs.T)
-    compliance = arm @ jnp.linalg.solve(plant.mass, arm)
-    samples = q.shape[0]
-    t = jnp.arange(samples) * time
-    full = jnp.broadcast_to(compliance, (samples,))
-    here = Local(q @ arm, v @ arm, a, full, u, t, scheduling)
-    result = []
-    for law, stacked in zip(laws, vectors):
+    compliance = jnp.broadcast_to(arm @ jnp.linalg.solve(plant.mass, arm), (samples,))
+    return Local(q @ arm, v @ arm, a, compliance, u, jnp.arange(samples) * time, scheduling)
 
-        def one(p, law=law):
-            z = jnp.zeros((law.states, samples))
-            if law.states:
 
-                def step(state, pair):
-                    before, after = pair
-                    return law.advance(p, state, before, after, time), state
+@eqx.filter_jit
+def _force_series(law, vectors, here, time):
+    """Force over time of one law for every basis vector; law by law, since which laws are asked for differs."""
+    samples = len(here.q)
 
-                later = jax.tree.map(lambda x: jnp.concatenate([x[1:], x[-1:]]), here)
-                z = jax.lax.scan(step, jnp.zeros(law.states), (here, later))[1].T
-            return jnp.broadcast_to(law.force(p, here, z), (samples,))
+    def one(p):
+        z = jnp.zeros((law.states, samples))
+        if law.states:
 
-        result.append(jax.vmap(one)(stacked))
-    return result
+            def step(state, pair):
+                before, after = pair
+                return law.advance(p, state, before, after, time), state
+
+            later = jax.tree.map(lambda x: jnp.concatenate([x[1:], x[-1:]]), here)
+            z = jax.lax.scan(step, jnp.zeros(law.states), (here, later))[1].T
+        return jnp.broadcast_to(law.force(p, here, z), (samples,))
+
+    return jax.vmap(one)(vectors)
 
 
 def _next(X):
@@ -235,8 +225,8 @@ def _responses(plant, columns, start, end, time, outputs, *, forced):
     for k in range(0, total, BATCH):
         part = slice(k, min(k + BATCH, total))
         pad = BATCH - (part.stop - part.start)
-        two = [np.asarray(np.pad(np.asarray(X)[part], ((0, pad), (0, 0), (0, 0)))) for X in (start, end)]
-        y = _respond_many(plant, columns, *two, np.asarray(time), forced)
+        two = [np.pad(np.asarray(X)[part], ((0, pad), (0, 0), (0, 0))) for X in (start, end)]
+        y = _respond_many(plant, columns, *two, time, forced)
         made[part] = np.asarray(y)[: BATCH - pad, :, :outputs]
     return made
 
@@ -262,25 +252,22 @@ def _respond_many(plant, columns, start, end, time, forced):
 def _input_columns(shapes, plant, motion, data, outputs):
     j = shapes[0].place.first
     laws, vectors = _columns(shapes)
-    start, end = held_input(np.asarray(data.u), data.hold)
-    changes = _input_changes(laws, vectors, start[:, j], end[:, j], np.asarray(data.sampling_time))
+    start, end = held_input(data.u, data.hold)
+    held = start[:, j], end[:, j], data.time_step
+    changes = [_input_changes(law, stacked, *held) for law, stacked in zip(laws, vectors)]
     order = _in_order(shapes, laws, [c[0] for c in changes])
     first, last = (np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in (0, 1))
     column = np.eye(input_matrix_of(plant.drive).shape[1])[:, j : j + 1]
-    return _responses(plant, np.asarray(column), first, last, data.sampling_time, outputs, forced=False)
+    return _responses(plant, column, first, last, data.time_step, outputs, forced=False)
 
 
 @eqx.filter_jit
-def _input_changes(laws, vectors, start, end, time):
-    result = []
-    for law, stacked in zip(laws, vectors):
+def _input_changes(law, vectors, start, end, time):
+    def one(p):
+        a, b = law.apply(p, start, end, time)
+        return a - start, b - end
 
-        def one(p, law=law):
-            a, b = law.apply(p, start, end, time)
-            return a - start, b - end
-
-        result.append(jax.vmap(one)(stacked))
-    return result
+    return jax.vmap(one)(vectors)
 
 
 def _output_columns(shapes, plant, motion, data, outputs):
@@ -290,23 +277,20 @@ def _output_columns(shapes, plant, motion, data, outputs):
     if shapes[0].place.second >= 0:
         source = np.concatenate([motion.y, data.u], axis=1)[:, shapes[0].place.second]
     laws, vectors = _columns(shapes)
-    source, time = np.asarray(source), np.asarray(data.sampling_time)
     for k in range(outputs) if first < 0 else (first,):
-        changes = _output_changes(laws, vectors, np.asarray(motion.y[:, k]), source, time)
+        seen = motion.y[:, k], source, data.time_step
+        changes = [_output_changes(law, stacked, *seen) for law, stacked in zip(laws, vectors)]
         made[:, :, k] = np.concatenate([np.asarray(c) for c in changes])[_in_order(shapes, laws, changes)]
     return made
 
 
 @eqx.filter_jit
-def _output_changes(laws, vectors, y, source, time):
-    return [
-        jax.vmap(lambda p, law=law: law.apply(p, y, source, time) - y)(stacked) for law, stacked in zip(laws, vectors)
-    ]
+def _output_changes(law, vectors, y, source, time):
+    return jax.vmap(lambda p: law.apply(p, y, source, time) - y)(vectors)
 
 
 def _matrix_columns(shapes, plant, motion, data, outputs):
-    start, end = held_input(np.asarray(data.u), data.hold)
-    time = np.asarray(data.sampling_time)
+    start, end = held_input(data.u, data.hold)
     laws, vectors = _columns(shapes)
     dofs = plant.mass.shape[0]
     changed = [
@@ -318,16 +302,22 @@ def _matrix_columns(shapes, plant, motion, data, outputs):
     total = matrices[0].shape[1]
     drive = with_coordinates(plant.drive, total)
     measured = plant.measured + ("displacement",) * (total - dofs)
-    made = np.empty((len(order), len(data.u), outputs))
+    held = start, end, data.time_step
+    made = _linear_outputs(matrices, drive, measured, *held)
     alone = [np.asarray(X)[None] for X in (plant.mass, plant.damping, plant.stiffness)]
-    still = np.asarray(_linear_runs(*alone, plant.drive, plant.measured, start, end, time))[0]
-    for k in range(0, len(order), BATCH):
+    still = _linear_outputs(alone, plant.drive, plant.measured, *held)
+    return made[:, :, :outputs] - still[:, :, :outputs]
+
+
+def _linear_outputs(matrices, drive, measured, *held):
+    """Outputs for many mass, damping and stiffness matrices, so many at once that one program serves any number."""
+    made = []
+    for k in range(0, len(matrices[0]), BATCH):
         part = [X[k : k + BATCH] for X in matrices]
         count = len(part[0])
-        part = [np.asarray(np.concatenate([X, np.repeat(X[-1:], BATCH - count, axis=0)])) for X in part]
-        y = np.asarray(_linear_runs(*part, drive, measured, start, end, time))
-        made[k : k + count] = y[:count, :, :outputs] - still[None, :, :outputs]
-    return made
+        part = [np.concatenate([X, np.repeat(X[-1:], BATCH - count, axis=0)]) for X in part]
+        made.append(np.asarray(_linear_runs(*part, drive, measured, *held))[:count])
+    return np.concatenate(made)
 
 
 def _arms(shapes, dofs):
@@ -335,7 +325,7 @@ def _arms(shapes, dofs):
     eye = np.concatenate([np.eye(dofs), np.zeros((1, dofs))])
     first = [s.place.first for s in shapes for _ in s.basis]
     second = [s.place.second for s in shapes for _ in s.basis]
-    return np.asarray(eye[first]), np.asarray(eye[second])
+    return eye[first], eye[second]
 
 
 @eqx.filter_jit

@@ -3,7 +3,6 @@
 import dataclasses
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -221,7 +220,7 @@ class Equation:
         return dataclasses.replace(made, residual=tuple(self.residual(made)))
 
     def _matrix(self, entries):
-        return np.asarray(from_symmetric_vector(jnp.asarray(entries)))
+        return from_symmetric_vector(entries)
 
     def _spread(self, spread):
         basis = np.asarray(duplication(self.dofs))
@@ -273,7 +272,7 @@ class Equation:
         least = FLOOR * float(np.abs(np.trace(fit.matrices[0]))) * size[0]
         problem = PositiveLeastSquares.from_residual(table / size, target, (self.dofs,) * 3, (least, 0.0, 0.0))
         found = np.asarray(ClarabelSolver()(problem)) / size
-        matrices = tuple(np.asarray(from_symmetric_vector(jnp.asarray(x))) for x in np.split(found, 3))
+        matrices = tuple(from_symmetric_vector(x) for x in np.split(found, 3))
         if not np.linalg.eigvalsh(matrices[0])[0] > 0:
             return None
         made = dataclasses.replace(fit, matrices=matrices)

@@ -231,7 +231,7 @@ def _needless(rival: Attempt, best: Attempt) -> bool:
     if further and all(abs(value) < 2 * error for value, error in further):
         return True
     ratio = best.criterion - best.penalty - (rival.criterion - rival.penalty)
-    return ratio < 2 * scipy.special.gammaincinv(max(large.free - small.free, 1) / 2, 0.95)
+    return ratio < scipy.special.chdtri(max(large.free - small.free, 1), 0.05)
 
 
 def _floor(bench: Bench, attempts: list[Attempt]) -> np.ndarray:

@@ -6,7 +6,6 @@ another minimum. The record's own modes are hardly touched by it.
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..identification import Identification
@@ -45,7 +44,7 @@ def from_other_modes(bench: Bench, growth: Growth, identification: Identificatio
     except ComputationError:
         return
     bench.progress.stage("refitting from other modes")
-    matrices = [jnp.asarray(X) for X in scaling.matrices_out(*nearest_physical(start.matrices))]
+    matrices = scaling.matrices_out(*nearest_physical(start.matrices))
     model = identification.model.with_matrices(*matrices)
     states = tuple(initial_state(model, r.u, r.y, r.sampling_time, hold=r.hold)[0] for r in records)
     moved = Candidate(bench.simulator.setup.entries_of(*matrices), states).with_terms(growth.fit.candidate.terms)

@@ -4,7 +4,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -47,6 +46,11 @@ class Data:
             record.sampling_time,
             record.hold,
         )
+
+    @property
+    def time_step(self) -> Float[np.ndarray, ""]:
+        """Sampling time as an array, for compiled functions: a plain number would be compiled in."""
+        return np.asarray(self.sampling_time)
 
     @property
     def time(self) -> Float[np.ndarray, " samples"]:
@@ -99,7 +103,7 @@ class Setup:
 
     def entries_of(self, mass, damping, stiffness) -> Float[np.ndarray, " entries"]:
         """Joined blocks of M, D, K in the record's units."""
-        scaled = self.scaling.matrices_in(jnp.asarray(mass), jnp.asarray(damping), jnp.asarray(stiffness))
+        scaled = self.scaling.matrices_in(*map(np.asarray, (mass, damping, stiffness)))
         return np.asarray(join(self.structure.blocks(*scaled, lift=0.0)))
 
 

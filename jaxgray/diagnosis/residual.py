@@ -31,8 +31,8 @@ SETTLING = 4 * AR_ORDER
 
 _FLOOR = 1e-12
 
-ROWS, MOST_ROWS = 16, 64
-"""What is whitened at once: a multiple of the one, so that little is compiled, at most the other."""
+ROWS = 16
+"""What is whitened at once: one number, so that little is compiled; more at a time would leave the cache."""
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,14 @@ class Chain:
         not `used` zero after it."""
         if self.is_white:
             return ((X * used).reshape(-1, X.shape[2]) @ np.linalg.inv(self.lower).T).reshape(X.shape)
-        arrays = [np.asarray(a) for a in (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)]
+        arrays = (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)
         result = np.empty(X.shape)
-        for k in range(0, len(X), MOST_ROWS):
-            part = X[k : k + MOST_ROWS]
-            count, wanted = len(part), -(-len(part) // ROWS) * ROWS
-            if wanted > count:
-                part = np.concatenate([part, np.zeros((wanted - count, *X.shape[1:]))])
-            result[k : k + count] = np.asarray(_whiten(*arrays, np.asarray(part)))[:count]
+        for k in range(0, len(X), ROWS):
+            part = X[k : k + ROWS]
+            count = len(part)
+            if count < ROWS:
+                part = np.concatenate([part, np.zeros((ROWS - count, *X.shape[1:]))])
+            result[k : k + count] = np.asarray(_whiten(*arrays, part))[:count]
         return result
 
     @property
@@ -153,25 +153,22 @@ def estimate_chain(
     rows = np.all(used, axis=1)
     level = np.mean(e[rows] ** 2, axis=0) if rows.any() else np.ones(e.shape[1])
     V = np.maximum(white_part(e, kept), _FLOOR * np.maximum(level, 1e-300)) + 1e-300
-    arrays = [np.asarray(X) for X in (system.A, system.B, system.C, system.D, force, np.diag(V))]
-    A, C = arrays[0], arrays[2]
-    residual = np.asarray(e)
+    A, B, C, D = (np.asarray(X) for X in (system.A, system.B, system.C, system.D))
     tried = []
     for ratio in RATIOS[RATIOS > 0]:
-        gain = _gain(*arrays, ratio)
-        if not bool(jnp.all(jnp.isfinite(gain))):
+        gain = np.asarray(_gain(A, B, C, D, force, np.diag(V), ratio))
+        if not np.all(np.isfinite(gain)):
             continue
-        epsilon = np.asarray(_filtered(A, C, gain, residual))
+        epsilon = np.asarray(_filtered(A, C, gain, e))
         cost = _log_determinant(epsilon[rows])
         if np.isfinite(cost):
-            tried.append((cost, ratio, np.asarray(gain), epsilon))
-    filters = np.asarray(A), np.asarray(C)
-    plain = _with_colour(*filters, np.zeros((A.shape[0], C.shape[0])), 0.0, e, e, kept, rows)
+            tried.append((cost, ratio, gain, epsilon))
+    plain = _with_colour(A, C, np.zeros((A.shape[0], C.shape[0])), 0.0, e, e, kept, rows)
     best = min(range(len(tried)), key=lambda k: tried[k][0], default=0)
     chain = plain
     # Coloured noise at the outputs may look like noise at the forces until its colour is allowed for, and then less.
     for _, ratio, gain, epsilon in [tried[k] for k in (best, best - 2, best - 4, best + 2) if 0 <= k < len(tried)]:
-        with_noise = _with_colour(*filters, gain, ratio, e, epsilon, kept, rows)
+        with_noise = _with_colour(A, C, gain, ratio, e, epsilon, kept, rows)
         chain = with_noise if with_noise.cost < chain.cost else chain
     return dataclasses.replace(chain, worth=plain.cost - chain.cost)
 
@@ -230,22 +227,19 @@ def smoothed_states(
     D = np.asarray(system.D)
     Q = B * (ratio * force) @ B.T
     gain, innovation = (
-        np.asarray(X)
-        for X in _kalman_gain(
-            *map(np.asarray, (A, C, Q, np.zeros((len(A), len(C))), np.diag(V) + D * (ratio * force) @ D.T))
-        )
+        np.asarray(X) for X in _kalman_gain(A, C, Q, np.zeros((len(A), len(C))), np.diag(V) + D * (ratio * force) @ D.T)
     )
     predicted_gain = np.linalg.solve(A, gain) if np.linalg.cond(A) < 1e12 else np.linalg.pinv(A) @ gain
     states = len(A)
     eye = np.eye(states)
-    residual = np.asarray(np.where(kept, e, 0.0))
-    ahead = np.asarray(_respond(*map(np.asarray, (A - gain @ C, gain, eye, np.zeros((states, len(C))))), residual))
-    epsilon = np.asarray(residual) - ahead @ C.T
+    residual = np.where(kept, e, 0.0)
+    ahead = np.asarray(_respond(A - gain @ C, gain, eye, np.zeros((states, len(C))), residual))
+    epsilon = residual - ahead @ C.T
     here = ahead + epsilon @ predicted_gain.T
     P = scipy.linalg.solve_discrete_lyapunov(A - gain @ C, Q + gain @ (np.diag(V) + D * (ratio * force) @ D.T) @ gain.T)
     filtered = P - predicted_gain @ innovation @ predicted_gain.T
     back = np.linalg.lstsq(P.T, (filtered @ A.T).T, rcond=1e-12)[0].T
     # x_s[k] = here[k] + back (x_s[k+1] − ahead[k+1]), run from the end.
     drive = here[:-1] - ahead[1:] @ back.T
-    turned = _respond(*map(np.asarray, (back, eye, back, eye)), np.asarray(drive[::-1]), np.asarray(here[-1]))
+    turned = _respond(back, eye, back, eye, drive[::-1], here[-1])
     return np.concatenate([np.asarray(turned)[::-1], here[-1:]])

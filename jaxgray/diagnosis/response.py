@@ -4,6 +4,8 @@ The derivative is taken stage by stage (matrices, inputs, plant with its forces,
 stage is compiled once for all laws.
 """
 
+import bisect
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,7 @@ from ..mechanics.effects.base import (
     Place,
     Term,
 )
-from ..mechanics.extended import Plant, changed_plant, held_input, motion_run, plant_run, sensed, slots_of
+from ..mechanics.extended import Plant, changed_plant, held_input, plant_motion, sensed, slots_of
 from ..mechanics.tangents import Directions, run_and_tangents
 from .problem import Candidate, Data, Setup, estimated
 
@@ -27,19 +29,23 @@ DIRECTIONS = 8
 """Derivatives are taken in a multiple of so many directions, so that little is compiled."""
 
 
+MEMORIES = (0, 2)
+"""Laws that remember no state, at most so many, or more are compiled apart: every state is one more derivative."""
+
+
 def law_table(terms: tuple[Term, ...], laws: tuple[AbstractForceEffect, ...]) -> tuple[AbstractForceEffect, ...]:
-    """The force laws to compile for some terms, so that one program serves the rivals of a round: friction, or all
-    else, or both, without laws that remember more; then laws of the user's own.
+    """The force laws to compile for some terms, so that one program serves the rivals of a round: all that remember
+    as much as any of theirs, then laws of the user's own.
 
     **Arguments:** `terms`; `laws`: all force laws of the catalogue.
     """
     used = [term.effect for term in terms if isinstance(term.effect, AbstractForceEffect)]
-    if not used:
-        return ()
-    most = max(effect.states for effect in used)
-    limit = next(level for level in (0, 2, 1000) if most <= level)
-    kinds = {effect.family == "friction" for effect in used}
-    table = tuple(law for law in laws if law.states <= limit and (law.family == "friction") in kinds)
+
+    def kind(law):
+        return bisect.bisect_left(MEMORIES, law.states)
+
+    kinds = {kind(effect) for effect in used}
+    table = tuple(law for law in laws if kind(law) in kinds)
     return table + tuple(dict.fromkeys(effect for effect in used if effect not in table))
 
 
@@ -93,12 +99,9 @@ def _input_stage(flat, u, end, sampling_time, terms):
 
 @eqx.filter_jit
 def _run(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps):
-    return plant_run(plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps)
-
-
-@eqx.filter_jit
-def _motion(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps):
-    return motion_run(plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps)
+    return plant_motion(
+        plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
+    )
 
 
 @eqx.filter_jit
@@ -155,7 +158,7 @@ class Simulator:
         terms = _only(candidate.terms, AbstractMatrixEffect)
         stage = _plant_stage(
             np.asarray(candidate.entries),
-            np.asarray(_values(terms)),
+            _values(terms),
             self.setup.matrices,
             self.setup.drive,
             self.setup.measured,
@@ -169,29 +172,27 @@ class Simulator:
 
     def _inputs(self, candidate: Candidate, data: Data):
         terms = _only(candidate.terms, AbstractInputEffect)
-        start, end = held_input(np.asarray(data.u), data.hold)
+        start, end = held_input(data.u, data.hold)
         if not terms:
             return (start, end), None
-        return _input_stage(np.asarray(_values(terms)), start, end, _time(data), forms(terms))
+        return _input_stage(_values(terms), start, end, data.time_step, forms(terms))
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
         """Outputs of a candidate on one record, padding included."""
-        plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
-        y = _run(plant, x0, start, end, slots, _time(data), table, np.asarray(data.scheduling), self._steps(slots))
-        y = np.asarray(y)[:, : self.setup.dofs]
+        y = self._run(candidate, data, record)[0][:, : self.setup.dofs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
-            flat = np.asarray(_values(terms))
-            y = _output_only(flat, y, np.asarray(data.u), _time(data), forms(terms))
+            y = _output_only(_values(terms), y, data.u, data.time_step, forms(terms))
         return np.asarray(y)
 
     def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Displacements and velocities of all coordinates on one record, padding included."""
+        return self._run(candidate, data, record)[1:]
+
+    def _run(self, candidate: Candidate, data: Data, record: int):
         plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
-        q, v = _motion(
-            plant, x0, start, end, slots, _time(data), table, np.asarray(data.scheduling), self._steps(slots)
-        )
-        return np.asarray(q), np.asarray(v)
+        made = _run(plant, x0, start, end, slots, data.time_step, table, data.scheduling, self._steps(slots))
+        return jax.device_get(made)
 
     def _steps(self, slots):
         # As an array, so that any number above one is compiled once.
@@ -260,7 +261,7 @@ class Simulator:
                 at["input"] += count
             else:
                 at["output"] += count
-        scheduling = np.asarray(data.scheduling)
+        scheduling = data.scheduling
 
         def derivative(columns, dstart, dend, count):
             rows = []
@@ -269,10 +270,14 @@ class Simulator:
             along = Directions(*rows, dstart, dend)
             along = jax.tree.map(lambda X: _pad(X, count), along)
             return _run_and_derivative(
-                plant, x0, start, end, slots, along, _time(data), table, scheduling, self._steps(slots)
+                plant, x0, start, end, slots, along, data.time_step, table, scheduling, self._steps(slots)
             )
 
-        y, J = derivative(columns, None, None, _rounded(len(columns)))
+        count = _rounded(len(columns))
+        if slots is not None:
+            # As if every parameter of the table's laws were estimated, so that one program serves them all.
+            count = len(columns) - sum(np.any(column[-1]) for column in columns) + slots.values.size
+        y, J = derivative(columns, None, None, count)
         parts = [np.asarray(J)[:, :dofs, : len(columns)]]
         if series:
             dstart, dend = (np.moveaxis(np.asarray(d)[..., series], -1, 0) for d in dinput)
@@ -285,8 +290,8 @@ class Simulator:
         if terms:
             width = _rounded(J.shape[2])
             wide = np.pad(J, ((0, 0), (0, 0), (0, width - J.shape[2])))
-            flat = np.asarray(_values(terms))
-            y, carried, extra = _output_stage(flat, y, np.asarray(data.u), wide, _time(data), forms(terms))
+            flat = _values(terms)
+            y, carried, extra = _output_stage(flat, y, data.u, wide, data.time_step, forms(terms))
             y, J, extra = np.asarray(y), np.asarray(carried)[:, :, : J.shape[2]], np.asarray(extra)
         first = len(columns)
         picked = [
@@ -301,8 +306,3 @@ def _rounded(count: int) -> int:
 
 def _pad(X, count: int) -> np.ndarray:
     return np.concatenate([X, np.zeros((count - X.shape[0], *X.shape[1:]))])
-
-
-def _time(data: Data) -> Array:
-    # As an array, since a plain number would be compiled in.
-    return np.asarray(data.sampling_time)

@@ -61,7 +61,7 @@ def _sampled(plant: Plant, time, hold: str) -> StateSpace:
 
 def sampled_plant(plant: Plant, data: Data, outputs: int) -> StateSpace:
     """The linear part at its sampling instants, with the outputs that are measured."""
-    system = _sampled(plant, np.asarray(data.sampling_time), data.hold)
+    system = _sampled(plant, data.time_step, data.hold)
     return StateSpace(system.A, system.B, system.C[:outputs], system.D[:outputs])
 
 
@@ -136,7 +136,7 @@ def measured_motion(stage: Stage, data: Data) -> Motion:
     accelerated = np.array([kind == "acceleration" for kind in plant.measured[:outputs]])
     D = np.where(accelerated[:, None], push[:outputs] / h**2, 0.0)
     Bd = _held(np.asarray(plant_matrix(plant, h)), B)
-    system = StateSpace(stage.system.A, np.asarray(Bd), stage.system.C, np.asarray(D))
+    system = StateSpace(stage.system.A, Bd, stage.system.C, D)
     map_ = np.asarray(input_matrix_of(plant.drive))
     force = np.mean((data.u[: data.samples] @ map_.T) ** 2, axis=0)
     force = np.maximum(force, 1e-6 * max(float(force.max()), 1e-300))

@@ -4,17 +4,17 @@ Every evaluation is the one compiled function of `normal`; the factors enter by 
 sensitivities serve any weights, so that renewing these on the way costs nothing.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import equinox as eqx
 import numpy as np
+import scipy.linalg as sl
 from jaxtyping import Array, Float
 
-from ..numerics.linear_algebra import symmetric_vector, triangle
+from ..numerics.linear_algebra import from_triangle, symmetric_vector, triangle, triangle_vector
+from ..numerics.namespace import namespace
 from .conic import pseudo_inverse
-from .normal import Normal, Products, moved
-from .prediction import Nuisance
+from .normal import Criterion, Iterate, Normal, Products, moved
 
 FIRST_DAMPING = 1e-3
 MOST_DAMPING = 1e8
@@ -27,121 +27,125 @@ NEAR = 0.1
 the cone that follow are exact."""
 NEAR_EDGE = 1e-6
 """The same for a start at the edge of the cone, from where those steps are ill-conditioned."""
+LONGEST = 20.0
+"""Most by which one step changes the logarithm of a factor's diagonal: beyond it lies overflow."""
+
+
+def upper_factor(vector: Float[Array, " entries"], as_logarithm: bool, n: int) -> Float[Array, "n n"]:
+    """The upper triangular U that a vector stands for; `as_logarithm`: its diagonal is given as a logarithm."""
+    xp = namespace(vector)
+    rows, columns = triangle(n)
+    diagonal = (rows == columns) & as_logarithm
+    return xp.triu(from_triangle(xp.where(diagonal, xp.exp(xp.where(diagonal, vector, 0.0)), vector)))
 
 
 def pack(blocks: list[Array], scales: list[Array], logarithmic: tuple[bool, ...]) -> list[Array]:
-    """Cholesky factors as vectors, upper triangle by columns of Lᵀ, in units of √scale.
+    """Cholesky factors U of X = scale · UᵀU as vectors, upper triangle by columns.
 
     The mass has the logarithm of its diagonal, so that it can never become singular.
     """
     vectors = []
     for block, scale, as_logarithm in zip(blocks, scales, logarithmic):
-        lower = jnp.linalg.cholesky(block / scale)
+        xp = namespace(block)
         rows, columns = triangle(block.shape[0])
-        entries = lower.T[rows, columns]
-        vectors.append(jnp.where((rows == columns) & as_logarithm, jnp.log(jnp.abs(entries)), entries))
+        entries = triangle_vector(xp.linalg.cholesky(block / scale).T)
+        diagonal = (rows == columns) & as_logarithm
+        vectors.append(xp.where(diagonal, xp.log(xp.where(diagonal, entries, 1.0)), entries))
     return vectors
 
 
 def unpack(vectors: list[Array], scales: list[Array], logarithmic: tuple[bool, ...], sizes) -> list[Array]:
     """Inverse of `pack`."""
-    blocks = []
-    for vector, scale, as_logarithm, n in zip(vectors, scales, logarithmic, sizes):
-        rows, columns = triangle(n)
-        diagonal = (rows == columns) & as_logarithm
-        entries = jnp.where(diagonal, jnp.exp(jnp.where(diagonal, vector, 0.0)), vector)
-        upper = jnp.zeros((n, n)).at[rows, columns].set(entries)
-        blocks.append(upper.T @ upper * scale)
-    return blocks
+    uppers = [upper_factor(*each) for each in zip(vectors, logarithmic, sizes)]
+    return [upper.T @ upper * scale for upper, scale in zip(uppers, scales)]
 
 
 class CholeskyEnd(NamedTuple):
-    """Where the steps ended.
+    """Where the steps ended: the iterate, its `products`, minus twice its log-likelihood, and evaluations taken.
 
-    `whitening` and `products` there; `cost`: minus twice the log-likelihood, ∞ where nothing was finite; `steps`:
-    evaluations taken.
+    `cost` is ∞ where nothing was finite.
     """
 
-    blocks: list[np.ndarray]
-    nuisance: Nuisance
-    whitening: np.ndarray
+    at: Iterate
     products: Products
     cost: float
     steps: int
 
 
-class _Factor:
-    """One block, X = scale · UᵀU, on the host: the parameters are the entries of U, as in `pack`."""
+class _Factors(eqx.Module):
+    """The blocks as `pack` writes them, on the host."""
 
-    def __init__(self, block: np.ndarray, as_logarithm: bool):
-        self.scale = np.trace(block) / len(block)
-        self.places = list(zip(*triangle(len(block))))
-        self.upper = np.linalg.cholesky(block / self.scale).T
-        self.as_logarithm = as_logarithm
+    vectors: list[np.ndarray]
+    scales: list[float]
+    logarithmic: tuple[bool, ...]
+    sizes: tuple[int, ...]
 
-    def chart(self) -> np.ndarray:
-        """Derivative of the block's symmetric vector by the parameters."""
-        columns = []
-        for r, c in self.places:
-            unit = np.zeros_like(self.upper)
-            unit[c] = self.upper[r] * (self.upper[r, r] if self.as_logarithm and r == c else 1.0)
-            columns.append(symmetric_vector(self.scale * (unit + unit.T)))
-        return np.stack(columns, axis=1)
-
-    def stepped(self, step: np.ndarray) -> "_Factor":
-        """The factor after a step of the parameters."""
-        new = object.__new__(_Factor)
-        new.scale, new.places, new.as_logarithm = self.scale, self.places, self.as_logarithm
-        new.upper = self.upper.copy()
-        for (r, c), change in zip(self.places, step):
-            if self.as_logarithm and r == c:
-                new.upper[r, c] *= np.exp(np.clip(change, -20.0, 20.0))
-            else:
-                new.upper[r, c] += change
-        return new
+    @classmethod
+    def of(cls, blocks: list[Array], owners: tuple[str, ...]) -> "_Factors":
+        blocks = [np.asarray(block) for block in blocks]
+        scales = [np.trace(block) / len(block) for block in blocks]
+        logarithmic = tuple(owner == "mass" for owner in owners)
+        return cls(pack(blocks, scales, logarithmic), scales, logarithmic, tuple(len(block) for block in blocks))
 
     @property
-    def block(self) -> np.ndarray:
-        return self.scale * self.upper.T @ self.upper
+    def blocks(self) -> list[np.ndarray]:
+        return unpack(self.vectors, self.scales, self.logarithmic, self.sizes)
+
+    @property
+    def entries(self) -> int:
+        """Number of entries of all blocks."""
+        return sum(len(vector) for vector in self.vectors)
+
+    def stepped(self, step: np.ndarray) -> "_Factors":
+        """The factors after a step of their vectors."""
+        moves = np.split(step, np.cumsum([len(vector) for vector in self.vectors])[:-1])
+        limits = [LONGEST if as_logarithm else np.inf for as_logarithm in self.logarithmic]
+        vectors = [v + np.clip(move, -limit, limit) for v, move, limit in zip(self.vectors, moves, limits)]
+        return eqx.tree_at(lambda f: f.vectors, self, vectors)
+
+    def normal(self, products: Products, whitening: np.ndarray) -> Normal:
+        """Normal equations by the vectors of the factors, then the nuisance."""
+        by_blocks = products.normal(whitening)
+        charts = [_chart(*each) for each in zip(self.vectors, self.scales, self.logarithmic, self.sizes)]
+        T = sl.block_diag(*charts, np.eye(len(by_blocks.gradient) - self.entries))
+        return Normal(by_blocks.cost, T.T @ by_blocks.gradient, T.T @ by_blocks.information @ T)
 
 
-def cholesky_steps(
-    blocks: list[Array],
-    nuisance: Nuisance,
-    whitening: Float[np.ndarray, "outputs outputs"],
-    evaluate: Callable[[list[Array], Nuisance], Products],
-    *,
-    owners: tuple[str, ...],
-    correlated: bool,
-    count: float,
-    near: float = NEAR,
-    max_steps: int = 120,
-) -> CholeskyEnd:
-    """Damped Gauss-Newton steps until none promises more than a tenth of the noise variance.
+def _chart(vector, scale, as_logarithm, n) -> np.ndarray:
+    """Derivative of a block's symmetric vector by the vector of its factor."""
+    upper = upper_factor(vector, as_logarithm, n)
+    columns = []
+    for r, c in zip(*triangle(n)):
+        unit = np.zeros_like(upper)
+        unit[c] = upper[r] * (upper[r, r] if as_logarithm and r == c else 1.0)
+        columns.append(symmetric_vector(scale * (unit + unit.T)))
+    return np.stack(columns, axis=1)
 
-    **Arguments:** `blocks` (positive definite) and `nuisance` to start from; `whitening` for the first step;
-    `evaluate`: products of errors and sensitivities at a point; `owners`: the matrix of each block; `correlated`:
-    whether the noise of different outputs may be; `count`: number of output samples; `near`: the
-    decrement to stop at, in units of the noise variance; `max_steps`.
+
+def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, max_steps: int = 120) -> CholeskyEnd:
+    """Damped Gauss-Newton steps until none promises more than `near`.
+
+    **Arguments:** `start`, its blocks positive definite, its whitening that of the first step; `criterion`; `near`:
+    the decrement to stop at, in units of the noise variance; `max_steps`: most evaluations.
 
     **Returns:** a `CholeskyEnd`.
+
+    **Reference:** Nocedal & Wright, *Numerical Optimization*, §10.3.
     """
-    sizes = tuple(block.shape[0] for block in blocks)
-    factors = [_Factor(np.asarray(block), owner == "mass") for block, owner in zip(blocks, owners)]
-    ends = np.cumsum([n * (n + 1) // 2 for n in sizes])
-    entries = int(ends[-1])
-    here = evaluate([factor.block for factor in factors], nuisance)
-    normal, damping, steps = here.normal(whitening), FIRST_DAMPING, 1
-    unit = _size(normal, factors, ends)
+    nuisance, whitening, count = start.nuisance, start.whitening, criterion.count
+    factors = _Factors.of(start.blocks, criterion.owners)
+    here = criterion.evaluate(factors.blocks, nuisance)
+    normal, damping, steps = factors.normal(here, whitening), FIRST_DAMPING, 1
+    unit = _size(normal)
     while steps < max_steps and damping < MOST_DAMPING and np.isfinite(normal.cost):
-        step, decrement = _step(normal, factors, ends, damping, unit)
+        step, decrement = _step(normal, damping, unit)
         if not np.isfinite(decrement):
             break
-        trial_factors = [f.stepped(s) for f, s in zip(factors, np.split(step[:entries], ends[:-1]))]
-        trial_nuisance = moved(nuisance, step[entries:])
-        trial = evaluate([factor.block for factor in trial_factors], trial_nuisance)
+        trial_factors = factors.stepped(step[: factors.entries])
+        trial_nuisance = moved(nuisance, step[factors.entries :])
+        trial = criterion.evaluate(trial_factors.blocks, trial_nuisance)
         steps += 1
-        trial_normal = trial.normal(whitening)
+        trial_normal = trial_factors.normal(trial, whitening)
         done = decrement < near * normal.cost / count
         if not (np.isfinite(trial_normal.cost) and trial_normal.cost <= normal.cost):
             if done:
@@ -157,64 +161,41 @@ def cholesky_steps(
             # What a wrong model leaves is no noise: its correlations would lead astray, its sizes do not.
             renewed = here.whitening(False)
             done = done and np.max(np.abs(np.diag(renewed) / np.diag(whitening) - 1)) < 0.1
-            whitening, normal = renewed, here.normal(renewed)
+            whitening, normal = renewed, factors.normal(here, renewed)
         if done or here.exact:
             break
         damping = less * damping if damping > 1e-7 else 0.0
-    return _end([factor.block for factor in factors], nuisance, here, correlated, steps)
+    return _end(factors.blocks, nuisance, here, criterion, steps)
 
 
-def at_start(
-    blocks: list[Array],
-    nuisance: Nuisance,
-    whitening: Float[np.ndarray, "outputs outputs"],
-    evaluate: Callable[[list[Array], Nuisance], Products],
-    *,
-    correlated: bool,
-) -> CholeskyEnd:
-    """The blocks as they are, with the best first states and offsets; see `cholesky_steps`."""
-    blocks = [np.asarray(block) for block in blocks]
+def at_start(start: Iterate, criterion: Criterion) -> CholeskyEnd:
+    """The blocks of the start as they are, also where no factor of theirs moves, with the best first states and
+    offsets; an end beside those of `cholesky_steps`."""
+    blocks, nuisance = [np.asarray(block) for block in start.blocks], start.nuisance
     entries = sum(len(block) * (len(block) + 1) // 2 for block in blocks)
-    normal = evaluate(blocks, nuisance).normal(whitening)
+    normal = criterion.evaluate(blocks, nuisance).normal(start.whitening)
     if np.all(np.isfinite(normal.information)) and np.all(np.isfinite(normal.gradient)):
         inner = pseudo_inverse(normal.information[entries:, entries:])
         nuisance = moved(nuisance, -inner @ normal.gradient[entries:])
-    return _end(blocks, nuisance, evaluate(blocks, nuisance), correlated, 2)
+    return _end(blocks, nuisance, criterion.evaluate(blocks, nuisance), criterion, 2)
 
 
-def _end(blocks: list[np.ndarray], nuisance: Nuisance, here: Products, correlated: bool, steps: int) -> CholeskyEnd:
-    whitening = here.whitening(correlated)
+def _end(blocks, nuisance, here: Products, criterion: Criterion, steps: int) -> CholeskyEnd:
+    """The end at these blocks: weights and likelihood from the errors that are left there."""
+    whitening = here.whitening(criterion.correlated)
     cost = float(-2 * np.sum(here.counts * np.log(np.diag(whitening))))
-    return CholeskyEnd(blocks, nuisance, whitening, here, cost if np.isfinite(cost) else np.inf, steps)
+    return CholeskyEnd(Iterate(blocks, nuisance, whitening), here, cost if np.isfinite(cost) else np.inf, steps)
 
 
-def _charted(normal: Normal, factors: list[_Factor], ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Information and gradient by the parameters of the factors, then the nuisance."""
-    H, g = np.array(normal.information), np.array(normal.gradient)
-    entries = int(ends[-1])
-    T = np.zeros((entries, entries))
-    for factor, end in zip(factors, ends):
-        width = len(factor.places)
-        T[end - width : end, end - width : end] = factor.chart()
-    H[:entries] = T.T @ H[:entries]
-    H[:, :entries] = H[:, :entries] @ T
-    g[:entries] = T.T @ g[:entries]
-    return H, g
-
-
-def _size(normal: Normal, factors: list[_Factor], ends: np.ndarray) -> np.ndarray:
+def _size(normal: Normal) -> np.ndarray:
     """Norms of the sensitivities."""
-    H, _ = _charted(normal, factors, ends)
-    size = np.sqrt(np.maximum(np.diag(H), 0.0))
+    size = np.sqrt(np.maximum(np.diag(normal.information), 0.0))
     return np.where(size > 1e-12 * np.max(size), size, max(np.max(size), 1e-300))
 
 
-def _step(
-    normal: Normal, factors: list[_Factor], ends: np.ndarray, damping: float, unit: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """The damped step in factors and nuisance, and the decrement that it promises; `unit`: what damps equally."""
-    H, g = _charted(normal, factors, ends)
-    H = H + np.diag(damping * unit**2)
+def _step(normal: Normal, damping: float, unit: np.ndarray) -> tuple[np.ndarray, float]:
+    """The damped step, and the decrement that it promises; `unit`: what damps all parameters alike."""
+    H, g = normal.information + np.diag(damping * unit**2), normal.gradient
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = H / scale[:, None] / scale[None, :] + 1e-13 * np.eye(len(scale))
     if not np.all(np.isfinite(H)) or not np.all(np.isfinite(g)):

@@ -6,16 +6,13 @@ small semidefinite least squares, solved exactly: it leaves a wrong edge in one 
 few, and its optimality is that of the constrained problem, dual included.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool
 
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares
-from .normal import Normal, Products, join, moved, part
-from .prediction import Nuisance
+from .normal import Criterion, Iterate, Normal, Products, join, moved, part
 
 MASS_FLOOR = 1e-9
 """Smallest eigenvalue of a mass block, relative to its mean one: the model needs an inverse."""
@@ -27,9 +24,7 @@ DECREMENT = 1e-5
 class ConicEnd(eqx.Module):
     """Where the iteration ended."""
 
-    blocks: list[Array]
-    nuisance: Nuisance
-    whitening: Float[Array, "outputs outputs"]
+    at: Iterate
     normal: Normal
     steps: int
     decrement: float
@@ -47,38 +42,34 @@ def pseudo_inverse(H: np.ndarray, threshold: float = 1e-13) -> np.ndarray:
 
 
 def conic_steps(
-    blocks: list[Array],
-    nuisance: Nuisance,
-    whitening: Float[np.ndarray, "outputs outputs"],
-    evaluate: Callable[[list[Array], Nuisance], Products],
+    start: Iterate,
+    criterion: Criterion,
     *,
-    owners: tuple[str, ...],
-    correlated: bool,
-    count: float,
     first: Products | None = None,
     fixed: Bool[np.ndarray, " entries"] | None = None,
     max_steps: int = 60,
 ) -> ConicEnd:
     """Damped Gauss-Newton steps over the cone until none is worth taking.
 
-    **Arguments:** `blocks`, `nuisance`, `whitening` to start from; `evaluate`: products of errors and sensitivities
-    at a point; `owners`: the matrix to which each block belongs; `correlated`: whether the noise of different
-    outputs may be; `count`: number of output samples; `first`: the products at the start where they are known;
-    `fixed`: entries of the joined block vectors that do not move; `max_steps`.
+    **Arguments:** `start`; `criterion`; `first`: the products at the start where they are known; `fixed`: entries of
+    the joined block vectors that do not move; `max_steps`.
 
     **Returns:** a `ConicEnd`; `decrement` is in units of the noise variance.
+
+    **Raises:** `ComputationError` when the start is not finite.
     """
-    blocks = [np.asarray(block) for block in blocks]
-    whitening = np.eye(len(whitening)) if nuisance.noise is not None else np.asarray(whitening)
+    blocks, nuisance = [np.asarray(block) for block in start.blocks], start.nuisance
+    whitening = np.eye(len(start.whitening)) if nuisance.noise is not None else np.asarray(start.whitening)
+    count, correlated = criterion.count, criterion.correlated
     sizes = tuple(block.shape[0] for block in blocks)
     entries = sum(n * (n + 1) // 2 for n in sizes)
     held = None if fixed is None else np.asarray(fixed, bool)
     z = join(blocks)
     unit = np.concatenate([np.full(n * (n + 1) // 2, np.trace(b) / n) for n, b in zip(sizes, blocks)])
-    floors = np.array([MASS_FLOOR if owner == "mass" else 0.0 for owner in owners])
+    floors = np.array([MASS_FLOOR if owner == "mass" else 0.0 for owner in criterion.owners])
     solver = ClarabelSolver()
     damping, decrement, converged = 0.0, np.inf, False
-    found = evaluate(blocks, nuisance) if first is None else first
+    found = criterion.evaluate(blocks, nuisance) if first is None else first
     normal = found.normal(whitening)
     if not np.all(np.isfinite(normal.information)):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement", detail="its start is not finite")
@@ -108,7 +99,7 @@ def conic_steps(
         decrement = float(-(2 * slope @ dz + dz @ reduced @ dz) + g[entries:] @ inner @ g[entries:]) / variance
         trial_nuisance = moved(nuisance, dn)
         trial_blocks = part(z + dz * unit, sizes)
-        trial = evaluate(trial_blocks, trial_nuisance)
+        trial = criterion.evaluate(trial_blocks, trial_nuisance)
         trial_normal = trial.normal(whitening)
         allowed = float(normal.cost) + DECREMENT * variance
         if not (np.isfinite(float(trial_normal.cost)) and float(trial_normal.cost) <= allowed):
@@ -126,4 +117,4 @@ def conic_steps(
             if change > 1e-6:
                 whitening, normal = renewed, trial.normal(renewed)
         converged = (damping == 0.0 and decrement < DECREMENT and change < 1e-3) or trial.exact
-    return ConicEnd(blocks, nuisance, whitening, normal, steps, decrement, converged)
+    return ConicEnd(Iterate(blocks, nuisance, whitening), normal, steps, decrement, converged)

@@ -219,7 +219,7 @@ def _assembled(records, scalings, usable, refused, drive, found, taus, rows) -> 
     where = np.full((count, 2), np.nan)
     for k, error in refused.items():
         results[k], details[k] = error.result, str(error)
-    limit = 2 * scipy.special.gammaincinv(LAGS / 2, 1 - 0.01 / outputs)
+    limit = scipy.special.chdtri(LAGS, 0.01 / outputs)
     one = np.ones((outputs, outputs))
     for place, k in enumerate(usable):
         units = np.array([np.asarray(X) for X in scalings[k].matrices_out(one, one, one)])

@@ -19,7 +19,7 @@ from .cholesky import pack, unpack
 from .conic import DECREMENT
 from .normal import FLOOR
 from .prediction import Setting
-from .refine import LIFTS, setting_dofs
+from .refine import LIFTS
 from .structure import Structure
 
 MAX_STEPS = 40
@@ -102,7 +102,7 @@ def refine_one(
 
     **Reference:** Ljung, *System Identification*, §7.4 (determinant criterion) and §10.2.
     """
-    dofs = setting_dofs(setting)
+    dofs = setting.dofs
     sizes = structure.sizes(dofs)
     logarithmic = tuple(owner == "mass" for owner in structure.owners(dofs))
     samples, outputs = one.y.shape

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg as sl
 from jaxtyping import Array, Float
 
+from ..mechanics.statespace import StateSpace
 from ..numerics.lifting import free_response
 from ..numerics.linear_algebra import duplication, symmetric_vector
 from .prediction import Batch, Nuisance, Setting, prediction_errors, weighed
@@ -18,7 +19,6 @@ from .structure import Structure
 
 FLOOR = 1e-12
 """Smallest residual, relative to the outputs, that the weights resolve: below it is rounding."""
-
 
 SHRINKAGE = 1e-3
 """Taken off the correlation of two outputs' errors: what a wrong model leaves may be collinear, noise is not."""
@@ -101,28 +101,77 @@ def moved(nuisance: Nuisance, step: Float[np.ndarray, " parameters"]) -> Nuisanc
     return Nuisance(x0 + step[: x0.size].reshape(x0.shape), offset, nuisance.noise)
 
 
+class Iterate(eqx.Module):
+    """Where an iteration stands: blocks of M, D, K, nuisance, and the whitening of the output noise."""
+
+    blocks: list[Array]
+    nuisance: Nuisance
+    whitening: Float[Array, "outputs outputs"]
+
+
+class Criterion(eqx.Module):
+    """What the refinement makes small: prediction errors of the records, under what is free in M, D, K."""
+
+    batch: Batch
+    setting: Setting
+    structure: Structure
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Rows of each block."""
+        return self.structure.sizes(self.setting.dofs)
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """The matrix to which each block belongs."""
+        return self.structure.owners(self.setting.dofs)
+
+    @property
+    def count(self) -> float:
+        """Number of output samples (on the host)."""
+        return float(np.sum(np.asarray(self.batch.kept)))
+
+    @property
+    def correlated(self) -> bool:
+        """Whether the noise of different outputs may be (on the host): not where samples of single ones are missing."""
+        kept = np.asarray(self.batch.kept)
+        return bool(np.all(np.sum(kept, axis=2) % kept.shape[2] == 0))
+
+    def matrices(self, blocks: list[Array]) -> tuple[Array, Array, Array]:
+        """M, D, K from the blocks."""
+        return self.structure.matrices(blocks, self.setting.dofs)
+
+    def errors(self, at: Iterate) -> tuple[Float[Array, "records samples outputs"], StateSpace]:
+        """Whitened prediction errors, and the sampled system that makes them."""
+        system = self.setting.system(*self.matrices(at.blocks))
+        return prediction_errors(system, self.batch, at.nuisance, at.whitening), system
+
+    def products(self, blocks: list[Array], nuisance: Nuisance) -> Products:
+        """Inner products of errors and sensitivities; in the innovations form the errors are white already."""
+        plain = Iterate(blocks, nuisance, np.eye(self.batch.y.shape[2]))
+        return _gram(*sensitivities(plain, self), self.batch.kept)
+
+    def evaluate(self, blocks: list[Array], nuisance: Nuisance) -> Products:
+        """`products`, fetched to the host."""
+        return jax.device_get(self.products(blocks, nuisance))
+
+
 @eqx.filter_jit
 def sensitivities(
-    blocks: list[Array],
-    nuisance: Nuisance,
-    whitening: Float[Array, "outputs outputs"],
-    batch: Batch,
-    setting: Setting,
-    structure: Structure,
+    at: Iterate, criterion: Criterion
 ) -> tuple[Float[Array, "records samples outputs"], Float[Array, "records samples outputs parameters"]]:
     """Whitened prediction errors, and their Jacobian by the entries of the blocks, first states and offsets.
 
     The noise parameters stay as they are: their information is, to first order, apart from that of the model.
     """
-    sizes = tuple(block.shape[0] for block in blocks)
-    dofs = len(setting.measured)
+    batch, nuisance = criterion.batch, at.nuisance
+    sizes = tuple(block.shape[0] for block in at.blocks)
 
     def errors(vector):
-        system = setting.system(*structure.matrices(part(vector, sizes), dofs))
-        e = prediction_errors(system, batch, nuisance, whitening)
+        e, system = criterion.errors(Iterate(part(vector, sizes), nuisance, at.whitening))
         return e, (e, system)
 
-    J, (e, system) = jax.jacfwd(errors, has_aux=True)(join(blocks))
+    J, (e, system) = jax.jacfwd(errors, has_aux=True)(join(at.blocks))
     # First states and offsets enter linearly, every record's own.
     records, samples, outputs = e.shape
     own = [free_response(system.A, system.C, samples)]
@@ -131,15 +180,10 @@ def sensitivities(
     eye = jnp.eye(records)
     for columns in own:
         rows = -columns * batch.kept[..., None]
-        rows = jax.vmap(lambda r: weighed(r, system, batch, nuisance, whitening), -1, -1)(rows)
+        rows = jax.vmap(lambda r: weighed(r, system, batch, nuisance, at.whitening), -1, -1)(rows)
         rows = rows[..., None, :] * eye[:, None, None, :, None]
         J = jnp.concatenate([J, rows.reshape(*e.shape, -1)], axis=3)
     return e, J
-
-
-def products(blocks: list[Array], nuisance: Nuisance, batch: Batch, setting: Setting, structure: Structure) -> Products:
-    """Inner products of errors and sensitivities at a point; in the innovations form the errors are white already."""
-    return _gram(*sensitivities(blocks, nuisance, np.eye(batch.y.shape[2]), batch, setting, structure), batch.kept)
 
 
 @jax.jit

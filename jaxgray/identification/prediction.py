@@ -57,6 +57,11 @@ class Setting(eqx.Module):
     measured: tuple[str, ...] = eqx.field(static=True)
     hold: str = eqx.field(static=True)
 
+    @property
+    def dofs(self) -> int:
+        """Number of coordinates."""
+        return len(self.measured)
+
     def system(self, M: Array, D: Array, K: Array) -> StateSpace:
         """Sampled system, time in samples."""
         return sampled(self.drive.state_space(M, D, K, self.measured, 1.0), 1.0, self.hold)

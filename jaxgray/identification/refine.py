@@ -17,8 +17,8 @@ from jaxtyping import Array, Bool, Float
 from ..numerics.outcomes import RESULTS, ComputationError
 from .cholesky import NEAR, NEAR_EDGE, at_start, cholesky_steps, pack, unpack
 from .conic import conic_steps
-from .normal import FLOOR, Normal, products
-from .prediction import Batch, Nuisance, Setting, prediction_errors
+from .normal import FLOOR, Criterion, Iterate, Normal
+from .prediction import Batch, Nuisance, Setting
 from .structure import Structure
 
 LIFTS = (1e-3, 1e-1)
@@ -56,34 +56,26 @@ class Refinement(eqx.Module):
 
 @eqx.filter_jit
 def levenberg_marquardt(
-    blocks: list[Array],
-    nuisance: Nuisance,
-    whitening: Float[Array, "outputs outputs"],
-    batch: Batch,
-    setting: Setting,
-    structure: Structure,
-    max_steps: int = 60,
+    begin: Iterate, criterion: Criterion, max_steps: int = 60
 ) -> tuple[list[Array], Nuisance, Array]:
-    """One optimistix Levenberg-Marquardt run with given weights.
+    """One optimistix Levenberg-Marquardt run with given weights, the noise parameters among what it moves.
 
     Parameters are taken in units of their first Jacobian column, so that the damping treats all alike; the
     step solves the normal equations, which for a tall Jacobian costs a third of its QR.
 
-    **Arguments:** `blocks` (positive definite) and `nuisance` to start from; `whitening`; `batch`; `setting`;
-    `structure`; `max_steps`.
+    **Arguments:** `begin`, its blocks positive definite; `criterion`; `max_steps`.
 
     **Returns:** blocks, nuisance, steps taken. Traceable and vmappable.
     """
-    dofs = setting_dofs(setting)
-    sizes = structure.sizes(dofs)
-    logarithmic = tuple(owner == "mass" for owner in structure.owners(dofs))
-    scales = [jnp.trace(block) / block.shape[0] for block in blocks]
-    start, unravel = ravel_pytree((pack(blocks, scales, logarithmic), nuisance))
+    logarithmic = tuple(owner == "mass" for owner in criterion.owners)
+    scales = [jnp.trace(block) / block.shape[0] for block in begin.blocks]
+    blocks = [jnp.asarray(block) for block in begin.blocks]
+    start, unravel = ravel_pytree((pack(blocks, scales, logarithmic), begin.nuisance))
 
     def errors(theta):
-        vectors, here = unravel(theta)
-        matrices = structure.matrices(unpack(vectors, scales, logarithmic, sizes), dofs)
-        return prediction_errors(setting.system(*matrices), batch, here, whitening).ravel()
+        vectors, nuisance = unravel(theta)
+        blocks = unpack(vectors, scales, logarithmic, criterion.sizes)
+        return criterion.errors(Iterate(blocks, nuisance, begin.whitening))[0].ravel()
 
     size = jnp.linalg.norm(jax.jacfwd(errors)(start), axis=0)
     size = jnp.where(size > 1e-12 * jnp.max(size), size, jnp.max(size)) / _BOLDNESS
@@ -97,7 +89,7 @@ def levenberg_marquardt(
     )
     value = jnp.where(jnp.all(jnp.isfinite(solution.value)), solution.value, 0.0)
     vectors, found = unravel(start + value / size)
-    return unpack(vectors, scales, logarithmic, sizes), found, solution.stats["num_steps"]
+    return unpack(vectors, scales, logarithmic, criterion.sizes), found, solution.stats["num_steps"]
 
 
 def on_edge(blocks: list[Array]) -> bool:
@@ -106,15 +98,10 @@ def on_edge(blocks: list[Array]) -> bool:
     return any(value[0] < LIFTS[0] * value[-1] for value in values)
 
 
-def setting_dofs(setting: Setting) -> int:
-    """Number of coordinates."""
-    return len(setting.measured)
-
-
 def begin_nuisance(batch: Batch, setting: Setting, *, offset: bool, innovations: bool) -> Nuisance:
     """Nuisance parameters to start from: at rest, no offset, little force noise."""
     records, _, outputs = batch.y.shape
-    states = 2 * setting_dofs(setting)
+    states = 2 * setting.dofs
     inputs = batch.u.shape[2]
     noise = np.concatenate([np.full(inputs, INITIAL_FORCE_NOISE), np.zeros(outputs - 1)])
     return Nuisance(
@@ -151,70 +138,45 @@ def refine(
     structure = Structure() if structure is None else structure
     start = tuple(np.asarray(X) for X in start)
     outputs = batch.y.shape[2]
-    kept = np.asarray(batch.kept)
-    correlated = bool(np.all(np.sum(kept, axis=2) % outputs == 0))
-    owners = structure.owners(setting_dofs(setting))
+    criterion = Criterion(batch, setting, structure)
     nuisance = begin_nuisance(batch, setting, offset=offset, innovations=False)
     deviation = np.ones(outputs) if deviation is None else np.asarray(deviation)
     if not np.all(np.isfinite(deviation)):
         deviation = np.ones(outputs)
     whitening = np.diag(1 / np.sqrt(np.maximum(deviation, FLOOR**2)))
 
-    def evaluate(blocks, nuisance):
-        return jax.device_get(products(blocks, nuisance, batch, setting, structure))
+    def begun(lift):
+        return Iterate(structure.blocks(*start, lift=lift), nuisance, whitening)
 
-    taken, first, samples = 0, None, float(np.sum(kept))
-    if fixed is not None and np.any(fixed):
-        blocks = structure.blocks(*start, lift=0.0)
-    else:
-        begun = structure.blocks(*start, lift=0.0)
-        edge = on_edge(begun)
+    here, taken, first = begun(0.0), 0, None
+    if fixed is None or not np.any(fixed):
+        edge = on_edge(here.blocks)
         # At the edge the start itself may be better than what Cholesky factors make of it.
-        ends = [at_start(begun, nuisance, whitening, evaluate, correlated=correlated)] if edge else []
+        ends = [at_start(here, criterion)] if edge else []
         for lift in LIFTS if edge else LIFTS[:1]:
-            lifted = structure.blocks(*start, lift=lift)
-            end = cholesky_steps(
-                lifted,
-                nuisance,
-                whitening,
-                evaluate,
-                owners=owners,
-                correlated=correlated,
-                count=samples,
-                near=NEAR_EDGE if edge else NEAR,
-            )
-            ends.append(end)
+            ends.append(cholesky_steps(begun(lift), criterion, near=NEAR_EDGE if edge else NEAR))
         taken = sum(end.steps for end in ends)
         best = min(ends, key=lambda end: end.cost)
-        blocks, nuisance, whitening, first = best.blocks, best.nuisance, best.whitening, best.products
+        here, first = best.at, best.products
         if innovations:
             noisy = begin_nuisance(batch, setting, offset=offset, innovations=True)
-            nuisance = Nuisance(nuisance.x0, nuisance.offset, noisy.noise)
-            blocks, nuisance, steps = levenberg_marquardt(blocks, nuisance, whitening, batch, setting, structure)
-            taken, first = taken + int(steps), None
+            nuisance = Nuisance(here.nuisance.x0, here.nuisance.offset, noisy.noise)
+            here = Iterate(here.blocks, nuisance, here.whitening)
+            blocks, nuisance, steps = levenberg_marquardt(here, criterion)
+            here, taken, first = Iterate(blocks, nuisance, here.whitening), taken + int(steps), None
 
-    end = conic_steps(
-        blocks,
-        nuisance,
-        whitening,
-        evaluate,
-        owners=owners,
-        correlated=correlated,
-        count=samples,
-        first=first,
-        fixed=fixed,
-    )
+    end = conic_steps(here, criterion, first=first, fixed=fixed)
     if not np.isfinite(end.normal.cost):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement")
-    M, D, K = structure.matrices(end.blocks, setting_dofs(setting))
-    count = samples - end.normal.information.shape[0]
+    M, D, K = criterion.matrices(end.at.blocks)
+    count = criterion.count - end.normal.information.shape[0]
     return Refinement(
         M,
         D,
         K,
-        end.blocks,
-        end.nuisance,
-        end.whitening,
+        end.at.blocks,
+        end.at.nuisance,
+        end.at.whitening,
         end.normal,
         end.normal.cost / max(count, 1.0),
         (taken, end.steps),

@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from ..numerics.positive import PositiveLeastSquares, ProjectedGradientSolver
 from .conic import MASS_FLOOR
-from .normal import join, part, products
+from .normal import Criterion, join, part
 from .prediction import Batch, Nuisance, Setting
 from .refine import begin_nuisance
 from .structure import Structure
@@ -31,7 +31,8 @@ def gauss_newton(
 
     **Reference:** Ljung, *System Identification*, §10.2.
     """
-    structure, sizes = Structure(), tuple(X.shape[0] for X in matrices)
+    criterion = Criterion(batch, setting, Structure())
+    sizes = criterion.sizes
     entries = sum(n * (n + 1) // 2 for n in sizes)
     unit = jnp.concatenate([jnp.full(n * (n + 1) // 2, jnp.trace(X) / n) for n, X in zip(sizes, matrices)])
     unit = jnp.where(unit > 0, unit, 1.0)
@@ -43,7 +44,7 @@ def gauss_newton(
     def step(carry, first):
         z, nuisance = carry
         blocks = part(z, sizes)
-        found = products(blocks, nuisance, batch, setting, structure)
+        found = criterion.products(blocks, nuisance)
         lower = jnp.linalg.cholesky(found.covariance(True))
         renewed = jax.scipy.linalg.solve_triangular(lower, identity, lower=True)
         normal = found.normal(jnp.where(first, identity, renewed))

@@ -11,7 +11,7 @@ from ..mechanics.model import MechanicalModel
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS
 from ..records import Record
-from .normal import sensitivities, without_noise
+from .normal import Criterion, Iterate, sensitivities, without_noise
 from .physical import Scaling
 from .prediction import Batch, Setting
 from .preparation import Signals, prepare
@@ -157,8 +157,8 @@ def assess(
     noise = {"form": "output-error"}
     parameters = 3 * model.dofs * (model.dofs + 1) // 2
     if refinement is not None:
-        quiet, plain = without_noise(refinement.nuisance), np.eye(model.dofs)
-        _, J = sensitivities(refinement.blocks, quiet, plain, batch, setting, structure)
+        plain = Iterate(refinement.blocks, without_noise(refinement.nuisance), np.eye(model.dofs))
+        _, J = sensitivities(plain, Criterion(batch, setting, structure))
         J = np.asarray(J)
         meat = None
         if refinement.nuisance.noise is None and not tests.white:

@@ -21,6 +21,7 @@ MOST = 0.5
 """Share of the residual from which a rival explains more of it than noise at the forces could pass for."""
 
 SHIFTS = (0.13, 0.24, 0.37, 0.5, 0.63, 0.76, 0.87)
+"""Shares of the record by which its inputs are shifted until they have nothing to do with the residual."""
 
 ROUNDING = 1e-9
 """Residual, relative to the output, below which nothing is asked: it is rounding."""

@@ -100,7 +100,7 @@ def residual_test(
     auto = np.stack([_correlation(e[:, k], e[:, k], lags) for k in range(outputs)], axis=1)
     quantile = float(scipy.special.ndtri(0.995))
     portmanteau = n * np.sum(auto[lags + 1 :] ** 2, axis=0)
-    white = bool(np.all(portmanteau < 2 * scipy.special.gammaincinv(lags / 2, 1 - 0.01 / outputs)))
+    white = bool(np.all(portmanteau < scipy.special.chdtri(lags, 0.01 / outputs)))
     cross = np.zeros((2 * lags + 1, outputs, u.shape[1]))
     bands = np.zeros((outputs, u.shape[1]))
     late = early = at_once = False

@@ -60,47 +60,49 @@ def plant_run(
     **Returns:** the outputs, one row a sample.
     """
     if slots is None:
-        M, D, K = plant.mass, plant.damping, plant.stiffness
-        system = plant.drive.state_space(M, D, K, plant.measured, sampling_time)
-        Ad, B0, B1 = hold_matrices(system.A, system.B, 1.0, "linear")
-        B = jnp.concatenate([B0, B1], axis=1)
+        system, (Ad, B, first, both) = _linear(plant, x0, start, end, sampling_time)
         feed = jnp.concatenate([system.D, jnp.zeros_like(system.D)], axis=1)
-        both = jnp.concatenate([start, end], axis=1)
-        return respond(Ad, B, system.C, feed, both, first_state(plant, x0, start[0], sampling_time))
+        return respond(Ad, B, system.C, feed, both, first)
+    x, f, h = _forced(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps)
+    return outputs_of(plant, slots, x, f, start, h)
+
+
+def _linear(plant: Plant, x0, start, end, sampling_time):
+    """The plant alone with time in samples; sampled for inputs at start and end, with its first state and these."""
+    system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, sampling_time)
+    Ad, B0, B1 = hold_matrices(system.A, system.B, 1.0, "linear")
+    first = first_state(plant, x0, start[0], sampling_time)
+    return system, (Ad, jnp.concatenate([B0, B1], axis=1), first, jnp.concatenate([start, end], axis=1))
+
+
+def _forced(plant: Plant, x0, start, end, slots: Slots, sampling_time, laws, scheduling, substeps):
+    """States and forces at every sample, and the T [s] of the states."""
     h = sampling_time / substeps
     sampler = Sampler.of(plant, slots, sampling_time, laws, substeps)
     series = Series.of(start, end, scheduling, sampling_time)
     x, _, f = trajectory(sampler, first_state(plant, x0, start[0], h), series)
-    return outputs_of(plant, slots, x, f, start, h)
+    return x, f, h
 
 
-def outputs_of(plant: Plant, slots: Slots, x, f, start, h) -> Float[Array, "samples outputs"]:
+def outputs_of(plant: Plant, slots: Slots | None, x, f, start, h) -> Float[Array, "samples outputs"]:
     """Outputs from the states (q, T q̇), forces and inputs at every sample; `h` [s]: the T of the states."""
     system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, h)
-    return x @ system.C.T + start @ system.D.T + f @ direct(plant, slots.arms).T
+    y = x @ system.C.T + start @ system.D.T
+    return y if slots is None else y + f @ direct(plant, slots.arms).T
 
 
-def motion_run(
+def plant_motion(
     plant: Plant, x0, start, end, slots: Slots | None, sampling_time, *, laws=(), scheduling=None, substeps: int = 1
-) -> tuple[Float[Array, "samples dofs"], Float[Array, "samples dofs"]]:
-    """Displacements and velocities of all coordinates; arguments as for `plant_run`."""
-    dofs = plant.mass.shape[0]
+) -> tuple[Float[Array, "samples outputs"], Float[Array, "samples dofs"], Float[Array, "samples dofs"]]:
+    """Outputs, and displacements and velocities of all coordinates; arguments as for `plant_run`."""
     if slots is None:
-        system = plant.drive.state_space(
-            plant.mass, plant.damping, plant.stiffness, ("displacement",) * dofs, sampling_time
-        )
-        Ad, B0, B1 = hold_matrices(system.A, system.B, 1.0, "linear")
-        B = jnp.concatenate([B0, B1], axis=1)
-        both = jnp.concatenate([start, end], axis=1)
-        first = first_state(plant, x0, start[0], sampling_time)
-        x = respond(Ad, B, jnp.eye(2 * dofs), jnp.zeros((2 * dofs, both.shape[1])), both, first)
-        substeps = 1
+        _, (Ad, B, first, both) = _linear(plant, x0, start, end, sampling_time)
+        x = respond(Ad, B, jnp.eye(len(first)), jnp.zeros((len(first), both.shape[1])), both, first)
+        f, h = None, sampling_time
     else:
-        sampler = Sampler.of(plant, slots, sampling_time, laws, substeps)
-        series = Series.of(start, end, scheduling, sampling_time)
-        x, _, _ = trajectory(sampler, first_state(plant, x0, start[0], sampling_time / substeps), series)
-    C, D = local_rows(plant, jnp.eye(dofs), sampling_time / substeps)
-    return x @ C[0].T + start @ D[0].T, x @ C[1].T + start @ D[1].T
+        x, f, h = _forced(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps)
+    C, D = local_rows(plant, jnp.eye(plant.mass.shape[0]), h)
+    return outputs_of(plant, slots, x, f, start, h), x @ C[0].T + start @ D[0].T, x @ C[1].T + start @ D[1].T
 
 
 def held_input(u: Float[Array, "samples inputs"], hold: str) -> tuple[Array, Array]:

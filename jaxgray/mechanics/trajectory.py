@@ -7,6 +7,8 @@ second order in the forces, with states of hysteresis advanced by exact steps of
 **Reference:** Hochbruck & Ostermann, *Exponential integrators* (Acta Numerica, 2010), §2.3.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -123,36 +125,42 @@ class Sampler(eqx.Module):
         return after + jnp.sum(rows.whole * f1, axis=1), z, jnp.where(j == 0, f0, first)
 
     def _forces(self, here: list[Local], z):
-        def branch(law):
-            return lambda p, here, z: jnp.asarray(
-                law.force(p[: len(law.parameters)], here, z[: law.states]), dtype=float
-            )
-
-        forces, slots = [branch(law) for law in self.laws], self.slots
-        return jnp.stack(
-            [jax.lax.switch(slots.law[s], forces, slots.values[s], one, z[s]) for s, one in enumerate(here)]
-        )
+        slots = self.slots
+        return jnp.stack([_force(self.laws, slots.law[s], slots.values[s], one, z[s]) for s, one in enumerate(here)])
 
     def _advanced(self, z, before: list[Local], after: list[Local], time):
         if not self.memory:
             return z
-
-        def branch(law):
-            def advance(p, z, before, after):
-                if law.states == 0:
-                    return z
-                new = law.advance(p[: len(law.parameters)], z[: law.states], before, after, time)
-                return z.at[: law.states].set(new)
-
-            return advance
-
-        advances, slots = [branch(law) for law in self.laws], self.slots
+        slots = self.slots
         return jnp.stack(
             [
-                jax.lax.switch(slots.law[s], advances, slots.values[s], z[s], *both)
+                _advance(self.laws, slots.law[s], slots.values[s], z[s], *both, time)
                 for s, both in enumerate(zip(before, after))
             ]
         )
+
+
+# Functions of their own, so that the laws are traced once and not at every place of the step that asks for a force.
+@functools.partial(jax.jit, static_argnums=0)
+def _force(laws, number, p, here: Local, z):
+    def branch(law):
+        return lambda p, here, z: jnp.asarray(law.force(p[: len(law.parameters)], here, z[: law.states]), dtype=float)
+
+    return jax.lax.switch(number, [branch(law) for law in laws], p, here, z)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _advance(laws, number, p, z, before: Local, after: Local, time):
+    def branch(law):
+        def advance(p, z, before, after):
+            if law.states == 0:
+                return z
+            new = law.advance(p[: len(law.parameters)], z[: law.states], before, after, time)
+            return z.at[: law.states].set(new)
+
+        return advance
+
+    return jax.lax.switch(number, [branch(law) for law in laws], p, z, before, after)
 
 
 def _by(response, f):

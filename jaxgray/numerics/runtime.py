@@ -1,13 +1,10 @@
-"""What must hold before anything is computed: 64-bit floats, enough threads, and a collector that does not disturb."""
+"""What must hold before anything is computed: 64-bit floats, and a collector of cycles that does not disturb."""
 
 import contextlib
 import gc
-import os
 import threading
 
 import jax
-
-LEAST_THREADS = 4
 
 CROWDED = 0.7
 """Share of the memory areas that a process may have from which compiled programs are dropped."""
@@ -21,22 +18,15 @@ _before = (0, 0, 0)
 
 
 def ready() -> None:
-    """Check that 64-bit floats are on, and widen the thread pool of the CPU backend where it is too narrow.
+    """Check that 64-bit floats are on.
 
-    With two threads or fewer, the CPU backend (seen with jaxlib 0.9.2 and 0.10.1) can wait for ever on a loop
-    whose body holds batched linear algebra: every thread waits for work that none is left to do. The pool's
-    size is read from the environment variable NPROC when the backend starts, so it is set here, if the user
-    has not set it and no backend is running yet.
-
-    **Raises:** `ValueError` when 64-bit floats are off.
+    **Raises:** `ValueError` where they are off.
     """
     if not jax.config.jax_enable_x64:
         raise ValueError(
             "jax_enable_x64 is off: 32-bit floats are too coarse for identification. Call "
             "jax.config.update('jax_enable_x64', True) before anything else."
         )
-    if (os.cpu_count() or 1) < LEAST_THREADS:
-        os.environ.setdefault("NPROC", str(LEAST_THREADS))
 
 
 def relieve() -> None:
