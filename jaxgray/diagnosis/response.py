@@ -195,8 +195,8 @@ class Simulator:
         return jax.device_get(made)
 
     def _steps(self, slots):
-        # As an array, so that any number above one is compiled once.
-        return 1 if slots is None or self.substeps == 1 else np.asarray(self.substeps)
+        # As an array, so that one program serves any number; the plant alone has no steps.
+        return 1 if slots is None else np.asarray(self.substeps)
 
     def _parts(self, candidate, data, record):
         plant, dplant = self._plant(candidate)

@@ -15,7 +15,7 @@ from .extended import outputs_of, plant_run
 from .step_rows import Plant
 from .trajectory import Sampler, Series, Slots, first_state, trajectory
 
-CHUNK = 1024
+CHUNK = 256
 """Samples whose steps are differentiated side by side: as many as stay in cache."""
 
 
