@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from .report.exports import to_control as to_control
     from .report.exports import to_scipy as to_scipy
     from .report.page import write_report as write_report
+    from .report.simulated import write_simulation as write_simulation
 
 _widen()
 
@@ -70,6 +71,7 @@ _HOMES = {
     "report.export": ("load", "save"),
     "report.page": ("write_report",),
     "report.exports": ("export", "to_control", "to_scipy"),
+    "report.simulated": ("write_simulation",),
 }
 __all__ = tuple(name for names in _HOMES.values() for name in names)  # noqa: PLE0604
 

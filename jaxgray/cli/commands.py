@@ -140,6 +140,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
         from ..identification.validation import fit_of
         from ..mechanics.fitted_run import fitted_run
         from ..report import export, summary
+        from ..report.columns import columns_text, simulation_columns
 
         model = export.load(simulating.model)
         progress.stage("reading")
@@ -161,8 +162,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
         document = summary.simulation_document(record, fit, tuple(notes))
         written = {}
         if simulating.out is not None:
-            columns = files.simulation_columns(record, run)
-            written[simulating.out] = files.columns_text(columns).encode()
+            written[simulating.out] = columns_text(simulation_columns(record, run)).encode()
     finish(document, terminal.show_simulation, talk, simulating.json, written, notes)
 
 

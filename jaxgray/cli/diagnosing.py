@@ -85,8 +85,10 @@ def diagnose(
         written |= page(reporting.report, result, notes)
         if diagnosing.experiment is not None and result.next_experiment is not None:
             proposed = result.next_experiment
-            columns = files.input_columns(record, proposed.input, proposed.sampling_time)
-            written[diagnosing.experiment] = files.columns_text(columns).encode()
+            from ..report.columns import columns_text, input_columns
+
+            table = input_columns(record, proposed.input, proposed.sampling_time)
+            written[diagnosing.experiment] = columns_text(table).encode()
     show = functools.partial(show_diagnosis, verbose=talk.verbose)
     finish(document, show, talk, output.json, written, notes)
 
@@ -157,8 +159,8 @@ def demo(demonstrating: Demonstrating, talk: Talk) -> None:
         prepare(verbose=talk.verbose)
         from .. import demonstration
         from ..report import export
+        from ..report.columns import columns_text, record_columns
         from ..report.diagnosis_summary import diagnosis_document
-        from . import files
 
         made = demonstration.demonstrate(demonstrating.effect, demonstrating.seed, progress=progress)
         document = diagnosis_document(made.diagnosis)
@@ -167,7 +169,7 @@ def demo(demonstrating: Demonstrating, talk: Talk) -> None:
             folder = demonstrating.out
             folder.mkdir(parents=True, exist_ok=True)
             for name, record in (("estimation", made.estimation), ("validation", made.validation)):
-                text = files.columns_text(files.record_columns(record))
+                text = columns_text(record_columns(record))
                 written[folder / f"{name}.csv"] = text.encode()
             written |= page(folder / "report.html", made.diagnosis, [])
     for path, content in written.items():

@@ -10,8 +10,7 @@ import jaxgray
 
 SAMPLES = 2000
 SEED = 20
-FORCES = (*hidden_draws.SPRING, *hidden_draws.PAIR)
-REST = tuple(i for i in hidden_draws.DYNAMIC if i not in FORCES)
+IDS = hidden_draws.DYNAMIC
 
 WHOLE = (
     "cubic_stiffness",

@@ -330,3 +330,23 @@ def test_the_command(tmp_path, capsys):
     assert main(["export", str(given), str(tmp_path / "a.h"), "--quiet"]) == 0
     text = (tmp_path / "a.h").read_text()
     assert "#define A_SAMPLING_TIME 0.004\n" in text and "is straight between samples" in text
+
+
+def test_a_simulation_is_written_with_what_it_leaves(tmp_path):
+    rng = np.random.default_rng(3)
+    model = MechanicalModel(np.eye(1), 0.5 * np.eye(1), 20 * np.eye(1), output_names=("x",), output_units=("m",))
+    u = rng.standard_normal((SAMPLES, 1))
+    truth = model.simulate(u, H, x0=np.array([0.1, -0.2]))
+    y = truth + 1e-3 * rng.standard_normal(truth.shape)
+    y[7] = np.nan
+    record = jaxgray.Record(u, y, H, output_names=("x",), output_units=("m",))
+    jaxgray.write_simulation(model, record, tmp_path / "run.csv")
+    table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", skip_header=1)
+    header = (tmp_path / "run.csv").read_text().splitlines()[0]
+    assert header == "time [s],x measured [m],x simulated [m],x residual [m]"
+    np.testing.assert_array_equal(table[:, 1], y[:, 0])
+    np.testing.assert_allclose(table[:, 2], truth[:, 0], atol=1e-3)
+    np.testing.assert_array_equal(table[:, 3], table[:, 1] - table[:, 2])
+    with pytest.raises(ValueError, match="is not there; create it first"):
+        jaxgray.write_simulation(model, record, tmp_path / "no" / "run.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]

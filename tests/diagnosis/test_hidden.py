@@ -1,10 +1,11 @@
-"""Effects hidden at inputs, outputs, in the structure or tied to the clock, looked for among many."""
+"""Effects hidden one at a time, in the forces, at inputs and outputs, in the structure or tied to the clock, and looked
+for among many. In one file, since they share what is compiled."""
 
 import pytest
-from found import REST, check_found, diagnosed, hidden_case, searched
+from found import IDS, check_found, diagnosed, hidden_case, searched
 
 
-@pytest.mark.parametrize("effect_id", REST)
+@pytest.mark.parametrize("effect_id", IDS)
 def test_a_hidden_effect_is_found(effect_id):
     case = hidden_case(effect_id)
     check_found(case, diagnosed(case, only=searched(effect_id)))

@@ -1,0 +1,21 @@
+"""What a model makes of a record, as a file."""
+
+from ..mechanics.fitted_run import fitted_run
+from ..records import Record
+from .columns import columns_text, simulation_columns
+from .export import model_of, write_whole
+
+
+def write_simulation(result_or_model, record: Record, path) -> None:
+    """Write measured, simulated and residual of every output over time, as comma-separated text.
+
+    The free run is that of the whole model, its effects included, from the first state and with the output offsets by
+    which it comes nearest to the record; the file is whole or not there. `jaxgray simulate --out` writes the same.
+
+    **Arguments:** `result_or_model`: a `MechanicalModel`, or an identification or a diagnosis; `record`, with the
+    model's channels in its order; `path`: of the file.
+
+    **Raises:** `ValueError` where model and record do not fit; `ComputationError` where the motion is not finite.
+    """
+    run = fitted_run(model_of(result_or_model), record).simulated
+    write_whole(columns_text(simulation_columns(record, run)).encode(), path)
