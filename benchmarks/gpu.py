@@ -13,7 +13,6 @@ import pathlib
 import sys
 import time
 
-os.environ.setdefault("NPROC", "4")
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tests")]
 

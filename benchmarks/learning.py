@@ -22,7 +22,6 @@ import os
 import pathlib
 import time
 
-os.environ.setdefault("NPROC", "4")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np

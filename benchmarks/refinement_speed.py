@@ -15,7 +15,6 @@ import pathlib
 import sys
 import time
 
-os.environ.setdefault("NPROC", "4")
 os.environ["OPENBLAS_NUM_THREADS"] = str(os.cpu_count())
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "tests"))
 

@@ -33,6 +33,7 @@ def test_rooms_stay_small():
         "diagnose",
         "stabilisation",
         "write_report",
+        "write_simulation",
         "export",
         "to_scipy",
         "to_control",

@@ -7,7 +7,6 @@ import pathlib
 import sys
 import warnings
 
-os.environ.setdefault("NPROC", "4")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "tests"))
 

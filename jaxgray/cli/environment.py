@@ -1,4 +1,4 @@
-"""What must be set before jax computes: 64-bit floats, threads, a cache of what was compiled before."""
+"""What must be set before jax computes: 64-bit floats, a cache of what was compiled before."""
 
 import hashlib
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def prepare(*, verbose: bool = False) -> None:
-    """Turn on 64-bit floats, enough threads, and the compilation cache in the user's cache directory.
+    """Turn on 64-bit floats and the compilation cache in the user's cache directory.
 
     **Arguments:** `verbose`: leave the messages of the compiler on; default off.
     """
@@ -16,10 +16,7 @@ def prepare(*, verbose: bool = False) -> None:
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
-    from ..numerics.runtime import ready
-
     jax.config.update("jax_enable_x64", True)
-    ready()
     if jax.config.jax_compilation_cache_dir is None:
         folder = cache_folder()
         if folder is not None:

@@ -1,4 +1,4 @@
-"""Reading records and writing results for the commands."""
+"""Reading records and models for the commands, and where results may go."""
 
 import json
 import warnings

@@ -28,8 +28,9 @@ from .baseline import baseline_of, independent_floor
 from .bench import Bench
 from .competitor import FlexibleForce
 from .experiment import next_experiment
+from .gain import gain_of
 from .growth import Growth, grow, recount, residual_rms
-from .judgement import FreeRun, gain_of, overall
+from .judgement import FreeRun, overall
 from .other_start import from_other_modes
 from .problem import Data
 from .ranking import gate_of, rejected_of

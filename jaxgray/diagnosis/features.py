@@ -25,6 +25,7 @@ from ..mechanics.effects.base import (
     places_of,
 )
 from ..mechanics.extended import Plant, arm_of, held_input, input_matrix_of, local_rows, with_coordinates
+from ..mechanics.force_over_time import force_over_time
 from ..mechanics.statespace import hold_matrices
 from ..numerics.lifting import respond
 from .problem import Data
@@ -175,11 +176,17 @@ def _force_columns(shapes, plant, motion, data, outputs):
     channel = shapes[0].place.first if shapes[0].effect.places == "input" else -1
     laws, vectors = _columns(shapes)
     u = np.zeros(len(data.u)) if channel < 0 else data.u[:, channel]
-    here = _seen(motion.q, motion.v, u, data.u, arm, plant, data.time_step, data.scheduling)
-    series = [_force_series(law, stacked, here, data.time_step) for law, stacked in zip(laws, vectors)]
+    here = _seen(motion.q, motion.v, u, data.u, arm, plant, data.traced_sampling_time, data.scheduling)
+    series = [_force_series(law, stacked, here, data.traced_sampling_time) for law, stacked in zip(laws, vectors)]
     forces = np.concatenate([np.asarray(s) for s in series])[_in_order(shapes, laws, series)]
     return _responses(
-        plant, -arm[:, None], forces[:, :, None], _next(forces)[:, :, None], data.time_step, outputs, forced=True
+        plant,
+        -arm[:, None],
+        forces[:, :, None],
+        _next(forces)[:, :, None],
+        data.traced_sampling_time,
+        outputs,
+        forced=True,
     )
 
 
@@ -196,21 +203,7 @@ def _seen(q, v, u, inputs, arm, plant, time, scheduling):
 @eqx.filter_jit
 def _force_series(law, vectors, here, time):
     """Force over time of one law for every basis vector; law by law, since which laws are asked for differs."""
-    samples = len(here.q)
-
-    def one(p):
-        z = jnp.zeros((law.states, samples))
-        if law.states:
-
-            def step(state, pair):
-                before, after = pair
-                return law.advance(p, state, before, after, time), state
-
-            later = jax.tree.map(lambda x: jnp.concatenate([x[1:], x[-1:]]), here)
-            z = jax.lax.scan(step, jnp.zeros(law.states), (here, later))[1].T
-        return jnp.broadcast_to(law.force(p, here, z), (samples,))
-
-    return jax.vmap(one)(vectors)
+    return jax.vmap(lambda p: force_over_time(law, p, here, time))(vectors)
 
 
 def _next(X):
@@ -253,12 +246,12 @@ def _input_columns(shapes, plant, motion, data, outputs):
     j = shapes[0].place.first
     laws, vectors = _columns(shapes)
     start, end = held_input(data.u, data.hold)
-    held = start[:, j], end[:, j], data.time_step
+    held = start[:, j], end[:, j], data.traced_sampling_time
     changes = [_input_changes(law, stacked, *held) for law, stacked in zip(laws, vectors)]
     order = _in_order(shapes, laws, [c[0] for c in changes])
     first, last = (np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in (0, 1))
     column = np.eye(input_matrix_of(plant.drive).shape[1])[:, j : j + 1]
-    return _responses(plant, column, first, last, data.time_step, outputs, forced=False)
+    return _responses(plant, column, first, last, data.traced_sampling_time, outputs, forced=False)
 
 
 @eqx.filter_jit
@@ -278,7 +271,7 @@ def _output_columns(shapes, plant, motion, data, outputs):
         source = np.concatenate([motion.y, data.u], axis=1)[:, shapes[0].place.second]
     laws, vectors = _columns(shapes)
     for k in range(outputs) if first < 0 else (first,):
-        seen = motion.y[:, k], source, data.time_step
+        seen = motion.y[:, k], source, data.traced_sampling_time
         changes = [_output_changes(law, stacked, *seen) for law, stacked in zip(laws, vectors)]
         made[:, :, k] = np.concatenate([np.asarray(c) for c in changes])[_in_order(shapes, laws, changes)]
     return made
@@ -302,7 +295,7 @@ def _matrix_columns(shapes, plant, motion, data, outputs):
     total = matrices[0].shape[1]
     drive = with_coordinates(plant.drive, total)
     measured = plant.measured + ("displacement",) * (total - dofs)
-    held = start, end, data.time_step
+    held = start, end, data.traced_sampling_time
     made = _linear_outputs(matrices, drive, measured, *held)
     alone = [np.asarray(X)[None] for X in (plant.mass, plant.damping, plant.stiffness)]
     still = _linear_outputs(alone, plant.drive, plant.measured, *held)

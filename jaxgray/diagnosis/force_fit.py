@@ -206,7 +206,7 @@ class Equation:
         full, spread = np.zeros(3 * self.entries), np.zeros(3 * self.entries)
         full[inside], spread[inside] = entries, np.sqrt(np.maximum(np.diag(covariance)[:split], 0.0))
         made = ForceFit(
-            tuple(map(self._matrix, np.split(full, 3))),
+            tuple(map(from_symmetric_vector, np.split(full, 3))),
             tuple(map(self._spread, np.split(spread, 3))),
             tuple(terms),
             covariance[split:, split:],
@@ -218,9 +218,6 @@ class Equation:
             moving,
         )
         return dataclasses.replace(made, residual=tuple(self.residual(made)))
-
-    def _matrix(self, entries):
-        return from_symmetric_vector(entries)
 
     def _spread(self, spread):
         basis = np.asarray(duplication(self.dofs))

@@ -12,7 +12,8 @@ from .assembly import estimates_of, shifts_of
 from .force_fit import ForceFit
 from .force_route import Search, rms_of
 from .force_scores import Scores
-from .judgement import FreeRun, gain_of, overall
+from .gain import gain_of
+from .judgement import FreeRun, overall
 from .record_findings import noise_findings
 from .residual import white_part
 from .result import Curves, Diagnosis, Finding, Member, ModelSummary, NotFound

@@ -20,7 +20,8 @@ from .force_fit import Equation, ForceFit
 from .force_rows import band_of, series_of
 from .force_scores import Library, Scores, score
 from .force_windows import Windows, window_samples
-from .judgement import ACCEPTED, ALIKE, SIGNIFICANT, FreeRun, gain_of
+from .gain import gain_of
+from .judgement import ACCEPTED, ALIKE, SIGNIFICANT, FreeRun
 from .result import Gain, Rejected
 from .screening import GATE
 

@@ -14,8 +14,9 @@ import numpy as np
 import scipy  # `scipy.signal`, a second to import, is fetched at its first use.
 from jaxtyping import Bool, Float
 
-from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect, Local, Place, Scales
+from ..mechanics.effects.base import AbstractEffect, AbstractInputEffect, Local, Place, Scales
 from ..mechanics.extended import arm_along, held_input
+from ..mechanics.force_over_time import force_over_time
 from ..records import Record
 from .sizes import LEVELS, root_mean_square
 
@@ -129,23 +130,12 @@ def _bridged(column: Float[np.ndarray, " samples"], known: Bool[np.ndarray, " sa
     return column if known.all() else np.interp(at, at[known], column[known])
 
 
-@eqx.filter_jit
-def _force(effect: AbstractForceEffect, p, here: Local, time):
-    samples = here.q.shape[0]
-    z = jnp.zeros((effect.states, samples))
-    if effect.states:
-        later = jax.tree.map(lambda x: jnp.concatenate([x[1:], x[-1:]]), here)
-
-        def step(state, pair):
-            return effect.advance(p, state, *pair, time), state
-
-        z = jax.lax.scan(step, jnp.zeros(effect.states), (here, later))[1].T
-    return jnp.broadcast_to(effect.force(p, here, z), (samples,))
+_force = eqx.filter_jit(force_over_time)
 
 
 @eqx.filter_jit
 def _force_slopes(effect, p, here, time):
-    return jax.jacfwd(lambda p: _force(effect, p, here, time))(p)
+    return jax.jacfwd(lambda p: force_over_time(effect, p, here, time))(p)
 
 
 @eqx.filter_jit

@@ -11,6 +11,7 @@ from ..numerics.runtime import relieve
 from .bench import Bench, chain_of
 from .competitor import FlexibleForce
 from .extension import Layout, Refit, refit, with_states
+from .gain import gain_of
 from .judgement import (
     ACCEPTED,
     ALIKE,
@@ -19,7 +20,6 @@ from .judgement import (
     at_bound,
     evidence,
     free_run,
-    gain_of,
     overall,
     significance,
 )

@@ -10,7 +10,6 @@ from .extension import Layout, Refit, state_step, weighted
 from .problem import Candidate, Data
 from .residual import Chain, counted
 from .response import Simulator
-from .result import Gain
 
 ACCEPTED = 10.0
 """ΔBIC of a refit from which it is believed."""
@@ -26,8 +25,6 @@ HEAD = 0.05
 
 NUDGE = 1e-6
 """Relative change by which a parameter is moved to see whether a bound is in the way."""
-
-RESAMPLES = 500
 
 
 def evidence(
@@ -93,56 +90,6 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
 def overall(rmse: Float[np.ndarray, " outputs"], floor: Float[np.ndarray, " outputs"]) -> float:
     """RMS over outputs of the error in units of the noise floor."""
     return float(np.sqrt(np.mean((rmse / floor) ** 2)))
-
-
-def gain_of(
-    before: list[FreeRun],
-    after: list[FreeRun],
-    baseline: list[FreeRun],
-    floor: Float[np.ndarray, " outputs"],
-    names: tuple[str, ...],
-    *,
-    held_out: bool,
-    rng: np.random.Generator,
-    blocks: int = 40,
-) -> Gain:
-    """Gain from one model to the next, with intervals by block bootstrap over the same blocks of all three runs.
-
-    **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
-    `names` of outputs; `held_out`; `rng`; `blocks`: how many pieces the records are cut into.
-
-    **Returns:** a `Gain`.
-
-    **Reference:** Künsch (1989), *The jackknife and the bootstrap for general stationary observations*.
-    """
-
-    def pieces(runs):
-        sums, counts = [], []
-        per = max(blocks // len(runs), 8)
-        for run in runs:
-            kept = run.kept
-            where = np.flatnonzero(kept.any(axis=1))
-            for part in np.array_split(where, per):
-                sums.append(np.sum(np.where(kept[part], run.e[part], 0.0) ** 2, axis=0))
-                counts.append(kept[part].sum(axis=0))
-        return np.array(sums), np.array(counts)
-
-    (a, n), (b, _), (c, _) = pieces(before), pieces(after), pieces(baseline)
-
-    def percent(index):
-        total = np.maximum(n[index].sum(axis=0), 1)
-        rms = [np.sqrt(np.mean(x[index].sum(axis=0) / total / floor**2)) for x in (a, b, c)]
-        return 100 * (rms[0] - rms[1]) / max(rms[2], 1e-300)
-
-    everything = np.arange(len(a))
-    draws = np.array([percent(rng.integers(0, len(a), len(a))) for _ in range(RESAMPLES)])
-    total = np.maximum(n.sum(axis=0), 1)
-    pairs = {
-        name: (float(np.sqrt(a[:, k].sum() / total[k])), float(np.sqrt(b[:, k].sum() / total[k])))
-        for k, name in enumerate(names)
-    }
-    low, high = np.quantile(draws, [0.025, 0.975])
-    return Gain(pairs, float(percent(everything)), (float(low), float(high)), float(np.quantile(draws, 0.01)), held_out)
 
 
 def significance(fit: Refit, layout: Layout, term: int) -> float:

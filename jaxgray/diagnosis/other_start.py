@@ -17,8 +17,9 @@ from ..numerics.outcomes import ComputationError
 from ..records import Record
 from .bench import Bench, chain_of
 from .extension import Refit, refit
+from .gain import gain_of
 from .growth import Growth, held_out_run, residual_rms, stage_of_candidate
-from .judgement import FreeRun, gain_of
+from .judgement import FreeRun
 from .problem import Candidate
 from .residual import white_chain
 

@@ -48,7 +48,7 @@ class Data:
         )
 
     @property
-    def time_step(self) -> Float[np.ndarray, ""]:
+    def traced_sampling_time(self) -> Float[np.ndarray, ""]:
         """Sampling time as an array, for compiled functions: a plain number would be compiled in."""
         return np.asarray(self.sampling_time)
 

@@ -1,7 +1,7 @@
 """Free run of an extended model and its derivatives by everything that a refit moves.
 
 The derivative is taken stage by stage (matrices, inputs, plant with its forces, outputs), so that the expensive
-stage is compiled once for all laws.
+stage is compiled once for all laws that remember as much.
 """
 
 import bisect
@@ -26,7 +26,7 @@ from ..mechanics.tangents import Directions, run_and_tangents
 from .problem import Candidate, Data, Setup, estimated
 
 DIRECTIONS = 8
-"""Derivatives are taken in a multiple of so many directions, so that little is compiled."""
+"""Without forces, derivatives are taken in a multiple of so many directions, so that little is compiled."""
 
 
 MEMORIES = (0, 2)
@@ -175,14 +175,14 @@ class Simulator:
         start, end = held_input(data.u, data.hold)
         if not terms:
             return (start, end), None
-        return _input_stage(_values(terms), start, end, data.time_step, forms(terms))
+        return _input_stage(_values(terms), start, end, data.traced_sampling_time, forms(terms))
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
         """Outputs of a candidate on one record, padding included."""
         y = self._run(candidate, data, record)[0][:, : self.setup.dofs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
-            y = _output_only(_values(terms), y, data.u, data.time_step, forms(terms))
+            y = _output_only(_values(terms), y, data.u, data.traced_sampling_time, forms(terms))
         return np.asarray(y)
 
     def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -191,12 +191,13 @@ class Simulator:
 
     def _run(self, candidate: Candidate, data: Data, record: int):
         plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
-        made = _run(plant, x0, start, end, slots, data.time_step, table, data.scheduling, self._steps(slots))
+        made = _run(plant, x0, start, end, slots, data.traced_sampling_time, table, data.scheduling, self._steps)
         return jax.device_get(made)
 
-    def _steps(self, slots):
-        # As an array, so that one program serves any number; the plant alone has no steps.
-        return 1 if slots is None else np.asarray(self.substeps)
+    @property
+    def _steps(self):
+        # As an array, so that one program serves any number.
+        return np.asarray(self.substeps)
 
     def _parts(self, candidate, data, record):
         plant, dplant = self._plant(candidate)
@@ -206,7 +207,7 @@ class Simulator:
         dofs, total = self.setup.dofs, plant.mass.shape[0]
         x0 = np.zeros(2 * total)
         x0[:dofs], x0[total : total + dofs] = np.split(candidate.x0[record], 2)
-        return plant, np.asarray(x0), start, end, slots, table, dplant, dinput
+        return plant, x0, start, end, slots, table, dplant, dinput
 
     def run_and_jacobian(
         self, candidate: Candidate, data: Data, record: int = 0
@@ -261,7 +262,6 @@ class Simulator:
                 at["input"] += count
             else:
                 at["output"] += count
-        scheduling = data.scheduling
 
         def derivative(columns, dstart, dend, count):
             rows = []
@@ -270,13 +270,15 @@ class Simulator:
             along = Directions(*rows, dstart, dend)
             along = jax.tree.map(lambda X: _pad(X, count), along)
             return _run_and_derivative(
-                plant, x0, start, end, slots, along, data.time_step, table, scheduling, self._steps(slots)
+                plant, x0, start, end, slots, along, data.traced_sampling_time, table, data.scheduling, self._steps
             )
 
-        count = _rounded(len(columns))
-        if slots is not None:
+        if slots is None:
+            count = _rounded(len(columns))
+        else:
             # As if every parameter of the table's laws were estimated, so that one program serves them all.
-            count = len(columns) - sum(np.any(column[-1]) for column in columns) + slots.values.size
+            forces = _only(candidate.terms, AbstractForceEffect)
+            count = len(columns) - sum(len(estimated(term)) for term in forces) + slots.values.size
         y, J = derivative(columns, None, None, count)
         parts = [np.asarray(J)[:, :dofs, : len(columns)]]
         if series:
@@ -291,7 +293,7 @@ class Simulator:
             width = _rounded(J.shape[2])
             wide = np.pad(J, ((0, 0), (0, 0), (0, width - J.shape[2])))
             flat = _values(terms)
-            y, carried, extra = _output_stage(flat, y, data.u, wide, data.time_step, forms(terms))
+            y, carried, extra = _output_stage(flat, y, data.u, wide, data.traced_sampling_time, forms(terms))
             y, J, extra = np.asarray(y), np.asarray(carried)[:, :, : J.shape[2]], np.asarray(extra)
         first = len(columns)
         picked = [

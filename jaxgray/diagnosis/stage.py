@@ -61,7 +61,7 @@ def _sampled(plant: Plant, time, hold: str) -> StateSpace:
 
 def sampled_plant(plant: Plant, data: Data, outputs: int) -> StateSpace:
     """The linear part at its sampling instants, with the outputs that are measured."""
-    system = _sampled(plant, data.time_step, data.hold)
+    system = _sampled(plant, data.traced_sampling_time, data.hold)
     return StateSpace(system.A, system.B, system.C[:outputs], system.D[:outputs])
 
 

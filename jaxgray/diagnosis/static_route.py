@@ -14,7 +14,8 @@ from ..records import Record
 from .assembly import estimates_of
 from .force_fit import independent_share
 from .force_route import rms_of
-from .judgement import ACCEPTED, ALIKE, SIGNIFICANT, FreeRun, gain_of, overall
+from .gain import gain_of
+from .judgement import ACCEPTED, ALIKE, SIGNIFICANT, FreeRun, overall
 from .problem import estimated
 from .record_findings import noise_findings
 from .result import Curves, Diagnosis, Finding, Gain, Member, ModelSummary, Rejected

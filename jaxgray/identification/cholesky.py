@@ -4,9 +4,9 @@ Every evaluation is the one compiled function of `normal`; the factors enter by 
 sensitivities serve any weights, so that renewing these on the way costs nothing.
 """
 
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 import scipy.linalg as sl
 from jaxtyping import Array, Float
@@ -72,7 +72,8 @@ class CholeskyEnd(NamedTuple):
     steps: int
 
 
-class _Factors(eqx.Module):
+@dataclass(frozen=True)
+class _Factors:
     """The blocks as `pack` writes them, on the host."""
 
     vectors: list[np.ndarray]
@@ -81,11 +82,11 @@ class _Factors(eqx.Module):
     sizes: tuple[int, ...]
 
     @classmethod
-    def of(cls, blocks: list[Array], owners: tuple[str, ...]) -> "_Factors":
+    def of(cls, blocks: list[Array], criterion: Criterion) -> "_Factors":
         blocks = [np.asarray(block) for block in blocks]
         scales = [np.trace(block) / len(block) for block in blocks]
-        logarithmic = tuple(owner == "mass" for owner in owners)
-        return cls(pack(blocks, scales, logarithmic), scales, logarithmic, tuple(len(block) for block in blocks))
+        logarithmic = criterion.logarithmic
+        return cls(pack(blocks, scales, logarithmic), scales, logarithmic, criterion.sizes)
 
     @property
     def blocks(self) -> list[np.ndarray]:
@@ -99,9 +100,11 @@ class _Factors(eqx.Module):
     def stepped(self, step: np.ndarray) -> "_Factors":
         """The factors after a step of their vectors."""
         moves = np.split(step, np.cumsum([len(vector) for vector in self.vectors])[:-1])
-        limits = [LONGEST if as_logarithm else np.inf for as_logarithm in self.logarithmic]
-        vectors = [v + np.clip(move, -limit, limit) for v, move, limit in zip(self.vectors, moves, limits)]
-        return eqx.tree_at(lambda f: f.vectors, self, vectors)
+        vectors = []
+        for vector, move, as_logarithm, n in zip(self.vectors, moves, self.logarithmic, self.sizes):
+            rows, columns = triangle(n)
+            vectors.append(vector + np.where((rows == columns) & as_logarithm, np.clip(move, -LONGEST, LONGEST), move))
+        return replace(self, vectors=vectors)
 
     def normal(self, products: Products, whitening: np.ndarray) -> Normal:
         """Normal equations by the vectors of the factors, then the nuisance."""
@@ -133,7 +136,7 @@ def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, 
     **Reference:** Nocedal & Wright, *Numerical Optimization*, §10.3.
     """
     nuisance, whitening, count = start.nuisance, start.whitening, criterion.count
-    factors = _Factors.of(start.blocks, criterion.owners)
+    factors = _Factors.of(start.blocks, criterion)
     here = criterion.evaluate(factors.blocks, nuisance)
     normal, damping, steps = factors.normal(here, whitening), FIRST_DAMPING, 1
     unit = _size(normal)

@@ -61,7 +61,7 @@ def conic_steps(
     blocks, nuisance = [np.asarray(block) for block in start.blocks], start.nuisance
     whitening = np.eye(len(start.whitening)) if nuisance.noise is not None else np.asarray(start.whitening)
     count, correlated = criterion.count, criterion.correlated
-    sizes = tuple(block.shape[0] for block in blocks)
+    sizes = criterion.sizes
     entries = sum(n * (n + 1) // 2 for n in sizes)
     held = None if fixed is None else np.asarray(fixed, bool)
     z = join(blocks)

@@ -104,7 +104,7 @@ def refine_one(
     """
     dofs = setting.dofs
     sizes = structure.sizes(dofs)
-    logarithmic = tuple(owner == "mass" for owner in structure.owners(dofs))
+    logarithmic = structure.logarithmic(dofs)
     samples, outputs = one.y.shape
     blocks = structure.blocks(*start, lift=LIFTS[0])
     scales = [jnp.trace(block) / block.shape[0] for block in blocks]

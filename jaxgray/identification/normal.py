@@ -127,6 +127,11 @@ class Criterion(eqx.Module):
         return self.structure.owners(self.setting.dofs)
 
     @property
+    def logarithmic(self) -> tuple[bool, ...]:
+        """Whether each block's factor has a logarithmic diagonal."""
+        return self.structure.logarithmic(self.setting.dofs)
+
+    @property
     def count(self) -> float:
         """Number of output samples (on the host)."""
         return float(np.sum(np.asarray(self.batch.kept)))
@@ -165,10 +170,9 @@ def sensitivities(
     The noise parameters stay as they are: their information is, to first order, apart from that of the model.
     """
     batch, nuisance = criterion.batch, at.nuisance
-    sizes = tuple(block.shape[0] for block in at.blocks)
 
     def errors(vector):
-        e, system = criterion.errors(Iterate(part(vector, sizes), nuisance, at.whitening))
+        e, system = criterion.errors(Iterate(part(vector, criterion.sizes), nuisance, at.whitening))
         return e, (e, system)
 
     J, (e, system) = jax.jacfwd(errors, has_aux=True)(join(at.blocks))

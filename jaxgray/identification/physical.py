@@ -34,6 +34,8 @@ class Scaling(eqx.Module):
     def of(cls, inputs, outputs, sampling_time, measured) -> "Scaling":
         """Scaling from the sizes of the channels and what the outputs measure."""
         order = np.array([ORDER[kind] for kind in measured])
+        # A plain number would be compiled in.
+        sampling_time = np.float64(sampling_time) if isinstance(sampling_time, float) else sampling_time
         return cls(inputs, outputs, outputs * sampling_time**order, sampling_time)
 
     def input_map(self, E: Float[Array, "dofs inputs"]) -> Float[Array, "dofs inputs"]:

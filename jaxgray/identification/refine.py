@@ -67,10 +67,9 @@ def levenberg_marquardt(
 
     **Returns:** blocks, nuisance, steps taken. Traceable and vmappable.
     """
-    logarithmic = tuple(owner == "mass" for owner in criterion.owners)
+    logarithmic = criterion.logarithmic
     scales = [jnp.trace(block) / block.shape[0] for block in begin.blocks]
-    blocks = [jnp.asarray(block) for block in begin.blocks]
-    start, unravel = ravel_pytree((pack(blocks, scales, logarithmic), begin.nuisance))
+    start, unravel = ravel_pytree((pack(begin.blocks, scales, logarithmic), begin.nuisance))
 
     def errors(theta):
         vectors, nuisance = unravel(theta)

@@ -127,6 +127,10 @@ class Structure(eqx.Module):
         """The matrix to which each block belongs."""
         return tuple(name for name in ("mass", "damping", "stiffness") for _ in getattr(self, name).sizes(dofs))
 
+    def logarithmic(self, dofs: int) -> tuple[bool, ...]:
+        """Whether each block's factor has a logarithmic diagonal: the mass, which must not become singular."""
+        return tuple(owner == "mass" for owner in self.owners(dofs))
+
     def matrices(self, blocks: list[Array], dofs: int) -> tuple[Array, Array, Array]:
         """M, D, K from the blocks."""
         first = len(self.mass.sizes(dofs))

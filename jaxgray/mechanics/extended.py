@@ -92,7 +92,7 @@ def outputs_of(plant: Plant, slots: Slots | None, x, f, start, h) -> Float[Array
 
 
 def plant_motion(
-    plant: Plant, x0, start, end, slots: Slots | None, sampling_time, *, laws=(), scheduling=None, substeps: int = 1
+    plant: Plant, x0, start, end, slots: Slots | None, sampling_time, *, laws=(), scheduling=None, substeps=1
 ) -> tuple[Float[Array, "samples outputs"], Float[Array, "samples dofs"], Float[Array, "samples dofs"]]:
     """Outputs, and displacements and velocities of all coordinates; arguments as for `plant_run`."""
     if slots is None:

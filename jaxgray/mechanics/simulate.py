@@ -109,7 +109,7 @@ def simulate(
     x0 = _vector("x0", x0, 2 * model.dofs, "displacements, then velocities")
     _steps(substeps)
     p = _scheduling(model, scheduling, len(u))
-    y = np.asarray(free_run(model, u, h, hold, x0, scheduling=p, substeps=substeps))
+    y = np.asarray(free_run(model, u, h, hold, x0, scheduling=p, substeps=_counted(substeps)))
     offset = _vector("offset", offset, model.dofs, "one value per output")
     if offset is not None:
         y = y + np.asarray(offset)
@@ -186,8 +186,13 @@ def initial_state(
     if not model.effects:
         return found
     rest = np.zeros(2 * dofs), np.zeros(dofs)
-    run = eqx.Partial(_from_state, model, u, h, hold, p, substeps if substeps == 1 else jnp.asarray(substeps))
+    run = eqx.Partial(_from_state, model, u, h, hold, p, _counted(substeps))
     return refined_state(run, [found, rest], measured, weight, offset)
+
+
+def _counted(substeps: int):
+    """One step by a program of its own, more by one for any number."""
+    return substeps if substeps == 1 else jnp.asarray(substeps)
 
 
 def _from_state(model, u, sampling_time, hold, scheduling, substeps, x0):

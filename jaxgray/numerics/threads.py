@@ -10,7 +10,12 @@ import os
 LEAST_THREADS = 4
 
 
+def cores() -> int:
+    """Cores that this process may use: those of the machine, or fewer where it has been given a share."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def widen() -> None:
-    """Ask for a pool of so many threads on machines with fewer cores, where the user has not set its size."""
-    if (os.cpu_count() or 1) < LEAST_THREADS:
+    """Ask for a pool of so many threads where there are fewer cores, and the user has not set its size."""
+    if cores() < LEAST_THREADS:
         os.environ.setdefault("NPROC", str(LEAST_THREADS))

@@ -15,7 +15,8 @@ def write_simulation(result_or_model, record: Record, path) -> None:
     **Arguments:** `result_or_model`: a `MechanicalModel`, or an identification or a diagnosis; `record`, with the
     model's channels in its order; `path`: of the file.
 
-    **Raises:** `ValueError` where model and record do not fit; `ComputationError` where the motion is not finite.
+    **Raises:** `ValueError` where there is no model, model and record do not fit, or the folder is not there;
+    `ComputationError` where the motion is not finite.
     """
     run = fitted_run(model_of(result_or_model), record).simulated
     write_whole(columns_text(simulation_columns(record, run)).encode(), path)
