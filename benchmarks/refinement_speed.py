@@ -29,7 +29,7 @@ jax.config.update("jax_enable_x64", True)
 import independent as data  # noqa: E402
 
 import jaxgray  # noqa: E402
-from jaxgray.identification.normal import join, part, sensitivities  # noqa: E402
+from jaxgray.identification.normal import Criterion, Iterate, join, part, sensitivities  # noqa: E402
 from jaxgray.identification.prediction import Batch, free_run  # noqa: E402
 from jaxgray.identification.preparation import prepare  # noqa: E402
 from jaxgray.identification.refine import refine  # noqa: E402
@@ -110,7 +110,6 @@ def main():
         return begun.scaling.matrices_out(found.mass, found.damping, found.stiffness)
 
     end = refine(begun.start.matrices, batch, begun.setting, deviation=deviation)
-    whitening = jax.numpy.eye(2)
 
     @jax.jit
     def jacobian(vector):
@@ -132,10 +131,8 @@ def main():
         "scipy_errors": data.relative_errors(pairs[0][1][1][0], TRUTH).tolist(),
         "jacobian_ms": 1e3 * timed(lambda: jacobian(vector), 20)[0],
     }
-    nuisance = end.nuisance
-    everything = timed(
-        lambda: sensitivities(end.blocks, nuisance, whitening, batch, begun.setting, begun.structure), 10
-    )
+    at, criterion = Iterate(end.blocks, end.nuisance, np.eye(2)), Criterion(batch, begun.setting, begun.structure)
+    everything = timed(lambda: sensitivities(at, criterion), 10)
     result["sensitivities_ms"] = 1e3 * everything[0]
     result["ratio"] = result["scipy_s"] / result["refine_s"]
     print(f"N = {arguments.samples}, {result['cores']} cores")
