@@ -84,8 +84,7 @@ def check_found(case, diagnosis):
     assert len(finding.members) <= 4
     ratio = np.array(list(diagnosis.noise_floor.values())) / case.noise
     assert np.all(np.abs(ratio - 1) < 0.25), said
-    if finding.gain.held_out:
-        assert finding.gain.ci99_lower > 0, said
+    assert diagnosis.gain == finding.gain and finding.gain.ci99_lower > 0, said
     if finding.effect == effect.id:
         for name, value in effect.parameters.items():
             check_parameter(finding.parameters.get(name), value, name, said)
