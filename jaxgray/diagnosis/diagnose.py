@@ -191,12 +191,13 @@ def _assembled(
         extended = summary_of(mended, spread, last_run, growth.runs, records, held)
         shifts = shifts_of(baseline.model, mended, spread)
         if growth.runs:
+            # What is tied to the clock of the fit does not show on held-out data.
+            held_out = any(accepted.gain.held_out for accepted in growth.accepted)
+            before, after = (growth.baseline_runs, growth.runs) if held_out else ([start_run], [last_run])
+            gain = gain_of(before, after, before, floor, names, held_out=held_out, rng=bench.rng)
             if len(growth.accepted) == 1:
-                # Its own: what is tied to the clock of the fit does not show on held-out data.
+                # The same, from the same draws: one finding must not have two intervals.
                 gain = growth.accepted[0].gain
-            else:
-                runs = growth.baseline_runs
-                gain = gain_of(runs, growth.runs, runs, floor, names, held_out=True, rng=bench.rng)
     mends_model = any(accepted.stage == "model" for accepted in growth.accepted)
     unexplained = growth.unexplained or (source != "residual of the final model" and excess >= UNEXPLAINED)
     test = None if identification is None else identification.structure_test

@@ -43,8 +43,9 @@ def gain_of(
     runs = before, after, baseline
     short = _Pieces(runs, floor, max(SHORT // len(before), 8))
     draws = [short.percent(rng.integers(0, len(short), len(short))) for _ in range(RESAMPLES)]
-    pairs = {name: (float(b), float(a)) for name, b, a in zip(names, *short.rmse[:2])}
-    percent = short.percent(np.arange(len(short)))
+    everything = np.arange(len(short))
+    pairs = {name: (float(b), float(a)) for name, b, a in zip(names, *short.rmse(everything)[:2])}
+    percent = short.percent(everything)
     return Gain(pairs, percent, _interval(runs, floor, percent), float(np.quantile(draws, 0.01)), held_out)
 
 
@@ -64,18 +65,14 @@ class _Pieces:
     def __len__(self):
         return len(self.counts)
 
-    @property
-    def rmse(self) -> list[np.ndarray]:
-        """Root mean square error per output of every set of runs."""
-        return self._rmse(np.arange(len(self)))
-
-    def _rmse(self, index):
+    def rmse(self, index) -> list[np.ndarray]:
+        """Root mean square error per output of every set of runs, over some pieces."""
         total = np.maximum(self.counts[index].sum(axis=0), 1)
         return [np.sqrt(sums[index].sum(axis=0) / total) for sums in self.sums]
 
     def percent(self, index) -> float:
         """Gain over some pieces."""
-        before, after, baseline = (np.sqrt(np.mean((rmse / self.floor) ** 2)) for rmse in self._rmse(index))
+        before, after, baseline = (np.sqrt(np.mean((rmse / self.floor) ** 2)) for rmse in self.rmse(index))
         return float(100 * (before - after) / max(baseline, 1e-300))
 
 
