@@ -3,8 +3,8 @@
 import importlib
 from typing import TYPE_CHECKING
 
+from .numerics.backend import prepare as _prepare
 from .numerics.notebook import show_with
-from .numerics.threads import widen as _widen
 
 if TYPE_CHECKING:
     from .diagnosis.diagnose import diagnose as diagnose
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from .report.page import write_report as write_report
     from .report.simulated import write_simulation as write_simulation
 
-_widen()
+_prepare()
 
 _HOMES = {
     "diagnosis.diagnose": ("diagnose",),

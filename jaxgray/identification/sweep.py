@@ -146,7 +146,7 @@ def candidates(
     """`candidate` over the grid τ × i, on the host; the leading axes of the result are the grid's.
 
     One compiled function serves every τ. The loop over τ stays on the host, one thread per core: inside a traced
-    loop the CPU backend gains nothing from it and can run out of threads (see `numerics.threads`).
+    loop the CPU backend gains nothing from it and can run out of threads (see `numerics.backend`).
     """
 
     def one(k):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgray.numerics import threads
+from jaxgray.numerics import backend
 
 
 def test_version_is_not_known_to_be_wrong():
@@ -25,14 +25,29 @@ def test_rowwise_products_agree_with_numpy(columns):
 
 
 def test_few_cores_get_more_threads_unless_the_user_has_said_how_many(monkeypatch):
-    monkeypatch.setattr(threads, "cores", lambda: 2)
+    monkeypatch.setattr(backend, "cores", lambda: 2)
     monkeypatch.delenv("NPROC", raising=False)
-    threads.widen()
+    backend.widen()
     assert os.environ["NPROC"] == "4"
     monkeypatch.setenv("NPROC", "3")
-    threads.widen()
+    backend.widen()
     assert os.environ["NPROC"] == "3"
     monkeypatch.delenv("NPROC")
-    monkeypatch.setattr(threads, "cores", lambda: 8)
-    threads.widen()
+    monkeypatch.setattr(backend, "cores", lambda: 8)
+    backend.widen()
     assert "NPROC" not in os.environ
+
+
+def test_the_quick_emitter_is_asked_for_where_it_is_known_and_the_user_has_not_chosen(monkeypatch):
+    flag = "--xla_cpu_use_fusion_emitters"
+    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
+    backend.compile_sooner()
+    assert os.environ["XLA_FLAGS"] == f"--xla_force_host_platform_device_count=2 {flag}=false"
+    monkeypatch.setenv("XLA_FLAGS", f"{flag}=true")
+    backend.compile_sooner()
+    assert os.environ["XLA_FLAGS"] == f"{flag}=true"
+    # A release that does not know the flag would end the process.
+    monkeypatch.delenv("XLA_FLAGS")
+    monkeypatch.setattr(importlib.metadata, "version", lambda package: "0.12.1")
+    backend.compile_sooner()
+    assert "XLA_FLAGS" not in os.environ
