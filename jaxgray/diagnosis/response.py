@@ -35,7 +35,7 @@ MEMORIES = (0, 2)
 
 def law_table(terms: tuple[Term, ...], laws: tuple[AbstractForceEffect, ...]) -> tuple[AbstractForceEffect, ...]:
     """The force laws to compile for some terms, so that one program serves the rivals of a round: all that remember
-    as much as any of theirs, then laws of the user's own.
+    as much as any of theirs, then what is in no catalogue.
 
     **Arguments:** `terms`; `laws`: all force laws of the catalogue.
     """
@@ -44,7 +44,7 @@ def law_table(terms: tuple[Term, ...], laws: tuple[AbstractForceEffect, ...]) ->
     def kind(law):
         return bisect.bisect_left(MEMORIES, law.states)
 
-    kinds = {kind(effect) for effect in used}
+    kinds = {kind(effect) for effect in used if effect in laws}
     table = tuple(law for law in laws if kind(law) in kinds)
     return table + tuple(dict.fromkeys(effect for effect in used if effect not in table))
 

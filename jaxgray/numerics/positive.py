@@ -49,8 +49,9 @@ class PositiveLeastSquares(eqx.Module):
         ends = np.cumsum([n * (n + 1) // 2 for n in self.sizes])
         return tuple(from_symmetric_vector(part) for part in namespace(z).split(z, ends[:-1]))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def unconstrained(self) -> Float[Array, " variables"]:
-        """The minimiser without the cone."""
+        """The minimiser without the cone; no numbers where a variable has no curvature, which may overflow here."""
         xp = namespace(self.quadratic, self.linear)
         scale = xp.sqrt(xp.maximum(xp.diag(self.quadratic), np.finfo(self.quadratic.dtype).tiny))
         scaled = self.quadratic / scale[:, None] / scale[None, :]

@@ -1,31 +1,10 @@
-"""The examples and what the README says run as they stand, and reach the figures that they claim."""
-
-import importlib.util
-import os
-import re
-import subprocess
-import sys
-from pathlib import Path
+"""The examples run as they stand, and reach the figures that they claim."""
 
 import numpy as np
 import pytest
+from shown import ROOT, example
 
-ROOT = Path(__file__).resolve().parents[2]
 BENCH = ROOT.parent / "shared" / "data" / "motor_bench_estimation.csv"
-
-
-def example(name):
-    """An example as a module."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def blocks(language):
-    """The README's code blocks of one language."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)
 
 
 def test_the_papers_simulation_beats_its_published_errors(tmp_path, capsys):
@@ -92,57 +71,3 @@ def test_an_effect_of_ones_own_is_found(capsys):
     assert abs(estimate.value - own.QUINTIC) < 4.5 * estimate.standard_error < 0.1 * own.QUINTIC
     assert finding.gain.ci95[0] > 0
     assert "With the law" in capsys.readouterr().out
-
-
-def test_a_network_learns_the_force_and_leaves_the_matrices_right(capsys):
-    found = example("learned_force").main(["--samples", "1000"])
-    deviation = np.abs(found["joint"] - found["truth"]) / found["standard_errors"]
-    assert np.all(deviation < 4.5), deviation
-    # The linear model is sure of what is wrong.
-    assert np.max(np.abs(found["linear"] - found["truth"]) / found["standard_errors"]) > 10
-    assert found["with_network"] < 1.2 * found["noise"] < 0.3 * found["physics_alone"]
-    assert "with the network" in capsys.readouterr().out
-
-
-def test_weights_learned_by_gradient_beat_the_default_on_unseen_records(capsys):
-    found = example("learned_weights").main(["--unseen", "3"])
-    weights = np.exp(found["theta"][1:])
-    # The phase in which the sensors are shaken, and one in which they are not.
-    assert weights[4] < 0.2 * np.median(weights[7:])
-    assert np.median(found["learned"]) < 0.7 * np.median(found["default"])
-    assert "unseen" in capsys.readouterr().out
-
-
-def test_a_designed_excitation_shrinks_the_error_bar_as_predicted(capsys):
-    design = example("designed_excitation")
-    found = design.main(["--realisations", "100", "--steps", "20"])
-    plain, better = ({k: found[name][k][design.CHOSEN] for k in ("predicted", "found")} for name in found)
-    assert plain["found"] > 2 * better["found"]
-    # A hundred realisations know a variance to 14 %.
-    for part in (plain, better):
-        assert part["predicted"] == pytest.approx(part["found"], rel=0.5)
-    for part in found.values():
-        np.testing.assert_allclose(np.mean(part["u"] ** 2, axis=0), 1.0, rtol=1e-3)
-    assert "times smaller" in capsys.readouterr().out
-
-
-def test_the_readmes_python_runs_as_it_stands():
-    (code,) = blocks("python")
-    assert len(code.strip().splitlines()) <= 20
-    run = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=300, cwd=ROOT
-    )
-    assert run.returncode == 0, run.stderr
-    mass = re.search(r"mass +([\d.]+) ± ([\d.e-]+)", run.stdout)
-    assert abs(float(mass[1]) - 2.0) < 4.5 * float(mass[2]) < 0.1
-    assert "fit on validation" in run.stdout and "Modes" in run.stdout
-
-
-def test_the_readme_has_two_commands_to_set_up_and_the_script_runs_the_second():
-    demo, test, *_ = (block.strip() for block in blocks("sh"))
-    assert demo.startswith("python3 -m venv .venv && ") and demo.endswith("jaxgray demo")
-    assert test.startswith("python3 -m venv .venv && ") and test.endswith("-m pytest")
-    script = ROOT / ".ci" / "run"
-    assert os.access(script, os.X_OK)
-    lines = script.read_text(encoding="utf-8").strip().splitlines()
-    assert lines[-1] == test and "set -euo pipefail" in lines
