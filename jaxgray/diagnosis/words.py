@@ -142,10 +142,10 @@ def verdict_sentence(diagnosis: "Diagnosis") -> str:
     if causes:
         parts += _causes(diagnosis, causes)
         parts += [_gain(diagnosis, causes)]
-    if diagnosis.verdict in ("unexplained", "partly"):
-        parts += [_unexplained(diagnosis, bool(causes))]
     if causes and not diagnosis.own_model:
         parts += [_hidden(diagnosis, len(causes))]
+    if diagnosis.verdict in ("unexplained", "partly"):
+        parts += [_unexplained(diagnosis, bool(causes))]
     seen = [f for f in diagnosis.findings if f.stage == "record"]
     if seen:
         names = diagnosis.baseline.model.output_names

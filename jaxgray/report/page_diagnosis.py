@@ -34,6 +34,9 @@ from .page_diagnosis_plots import (
 from .page_parts import Fact, Page, Section, Table, Tables, Words
 from .page_records import record_section
 
+WIDE = 40.0
+"""Width of a gain's interval [%] from which the page says why it is wide."""
+
 VERDICTS = {
     "named": "cause named",
     "equivalent": "causes this record cannot tell apart",
@@ -95,6 +98,8 @@ def _card(
     # Of a single finding the gain is that of the whole extension, which the sentence tells.
     gain = document["extended"]["gain"] if count == 1 and document["extended"] else finding["gain"]
     seen = "on held-out data" if gain and gain["held_out"] else "on the data of the fit"
+    if gain and None not in gain["ci95"] and gain["ci95"][1] - gain["ci95"][0] > WIDE:
+        seen += "; the interval is wide because its parts differ much"
     if index:
         seen += ", beyond the cause above" if index == 1 else ", beyond the causes above"
     kind = (
@@ -118,17 +123,19 @@ def _summary(document: dict, causes: int) -> tuple[Fact, ...]:
     gain = None if extended is None else extended["gain"]
     kind = error_kind(document) if gain is None or gain["held_out"] else "estimation"
     data = {"validation": "held-out data", "estimation": "the data of the fit"}[kind]
-    outputs = "" if len(output_names(document)) == 1 else ", over all outputs"
-    floor = document["baseline"]["noise_floor"]
-    facts = [
-        Fact(
-            "RMS error before",
-            _times(document["baseline"]["rmse"][kind], floor),
-            f"the noise floor, on {data}{outputs}",
-        )
-    ]
+    floor, several = document["baseline"]["noise_floor"], len(output_names(document)) > 1
+
+    def fact(title: str, rmse: dict) -> Fact:
+        ratios = _ratios(rmse, floor)
+        detail = f"the noise floor, on {data}"
+        if several and ratios:
+            worst = max(ratios, key=ratios.__getitem__)
+            detail += f", over all outputs ({times(ratios[worst])} at {worst})"
+        return Fact(title, _times(ratios), detail)
+
+    facts = [fact("RMS error before", document["baseline"]["rmse"][kind])]
     if extended is not None:
-        facts.append(Fact("RMS error after", _times(extended["rmse"][kind], floor), f"the noise floor, on {data}"))
+        facts.append(fact("RMS error after", extended["rmse"][kind]))
         if causes > 1:
             facts.append(Fact("All together take off", gain_words(gain), f"of the error on {data}"))
     facts.append(Fact("What is left", *_left(document)))
@@ -143,16 +150,20 @@ def _left(document: dict) -> tuple[str, str]:
     if document["verdict"] in ("unexplained", "partly"):
         return "more than noise", "no law of the catalogue explains it"
     if remaining["white"]:
-        return "noise alone", "white: what came before does not tell what comes"
+        return "noise alone", "white: no pattern over time is left"
     if any(one["effect"] == "process_noise" for one in document["findings"]):
         return "noise", "part of it enters at the forces"
     return "more than white noise", "no law of the catalogue explains it"
 
 
-def _times(rmse: dict, floor: dict) -> str:
-    """Error over noise floor, root mean square over the outputs."""
-    ratios = [rmse[name] / floor[name] for name in floor if floor[name] and rmse.get(name) is not None]
-    return times(float(np.sqrt(np.mean(np.square(ratios))))) if ratios else "–"
+def _ratios(rmse: dict, floor: dict) -> dict[str, float]:
+    """Error over noise floor, by output."""
+    return {name: rmse[name] / floor[name] for name in floor if floor[name] and rmse.get(name) is not None}
+
+
+def _times(ratios: dict[str, float]) -> str:
+    """Root mean square over the outputs."""
+    return times(float(np.sqrt(np.mean(np.square(list(ratios.values())))))) if ratios else "–"
 
 
 def _sections(diagnosis: Diagnosis, document: dict):
