@@ -136,6 +136,29 @@ def test_matlab(name, tmp_path):
     assert "Ad" not in scipy.io.loadmat(path)
 
 
+IN_THE_MATLAB_LANGUAGE = """
+load model.mat; load input.mat;
+x = x0 - Hd * u(1, :)'; y = zeros(rows(u), rows(Cd));
+for k = 1:rows(u)
+  y(k, :) = Cd * x + Dd * u(k, :)'; x = Ad * x + Bd * u(k, :)';
+end
+assert(iscellstr(output_names) && ischar(hold)); save -v7 output.mat y output_names;
+"""
+
+
+@pytest.mark.skipif(not shutil.which("octave-cli"), reason="GNU Octave is not installed")
+@pytest.mark.parametrize("name", MODELS)
+def test_matlab_in_its_language(name, tmp_path):
+    model, u = MODELS[name], inputs(MODELS[name])
+    jaxgray.export(model, tmp_path / "model.mat", sampling_time=H, hold="linear")
+    start = X0 if not model.effects else np.insert(X0, [2, 4], 0.0)
+    scipy.io.savemat(tmp_path / "input.mat", {"u": u, "x0": start[:, None]})
+    subprocess.run(["octave-cli", "--eval", IN_THE_MATLAB_LANGUAGE], cwd=tmp_path, check=True, timeout=60)
+    found = scipy.io.loadmat(tmp_path / "output.mat", simplify_cells=True)
+    close(found["y"], model.simulate(u, H, hold="linear", x0=X0), SAMPLED)
+    assert list(found["output_names"]) == list(model.output_names)
+
+
 PROGRAM = """
 #include <stdio.h>
 #include "{name}.h"
