@@ -14,8 +14,9 @@ from ..identification.conic import MASS_FLOOR, pseudo_inverse
 from ..mechanics.effects.base import Term
 from ..numerics.outcomes import ComputationError
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
+from .equations import Equations
 from .problem import Candidate, Data, Setup, estimated
-from .residual import SETTLING, Chain, counted
+from .residual import Chain
 from .response import Simulator
 
 DECREMENT = 1e-2
@@ -24,7 +25,14 @@ DECREMENT = 1e-2
 SLOW = 0.85
 """Ratio of a step's sums of squares above which a fit falls slowly."""
 
-_LARGEST = 1e100
+AHEAD = 0.1
+"""Share of a step after which the bend of a valley is measured."""
+
+PARTS = (1.0, 0.3)
+"""Shares of a step that are tried along a curved valley."""
+
+BENT = 0.75
+"""Correction for the bend, relative to the step, up to which a step is not too long."""
 
 
 @dataclass(frozen=True)
@@ -197,11 +205,6 @@ class _Step:
         return np.concatenate([np.full(self.layout.first, np.inf), self.layout.upper])
 
 
-def weighted(chain: Chain, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Whitened columns of the samples that count, as a matrix samples·outputs × columns."""
-    return chain.whiten_rows(np.moveaxis(X, 2, 0), kept, counted(kept)).reshape(X.shape[2], -1).T
-
-
 def refit(
     simulator: Simulator,
     candidate: Candidate,
@@ -231,7 +234,7 @@ def refit(
     always, still = fixed, fixed | layout.shape_of_last(candidate)
     step = _Step(setup, layout, fixed)
     theta = layout.vector(candidate)
-    equations = _Equations(simulator, data, chain, layout)
+    equations = Equations(simulator, data, chain, layout)
     now = equations(candidate)
     if now is None:
         return None
@@ -241,15 +244,17 @@ def refit(
         step.held = fixed = still if steps <= shapes_after else always
         H, g, cost = now[0], now[1], now[2]
         free = np.where(fixed, 0.0, 1.0)
-        change = step(theta, H * free[:, None] * free[None, :] + np.diag(fixed * 1.0), g * free, damping)
+        pinned = H * free[:, None] * free[None, :] + np.diag(fixed * 1.0), g * free
+        change = step(theta, *pinned, damping)
         if change is None:
             damping = max(10 * damping, 1e-3)
             continue
         change = layout.limited(np.where(fixed, 0.0, change), theta)
         variance = max(cost / max(now[3], 1), 1e-300)
-        decrement = -(2 * g @ change + change @ H @ change) / variance
+        decrement = _decrement(change, H, g) / variance
         if decrement < tolerance:
-            converged = True
+            # Damping shortens a step in a flat valley to nothing: the end is where the undamped step is short, too.
+            converged = damping == 0.0 or _decrement(step(theta, *pinned, 0.0), *pinned) / variance < 10 * tolerance
             break
         # A fit that still falls fast is further from its end than its next step says.
         if steps > 2 and cost > SLOW * before and cost - decrement * variance > abandon:
@@ -257,6 +262,13 @@ def refit(
         moved = layout.moved(theta, change, candidate)
         trial_candidate = layout.candidate(moved, candidate)
         trial = equations(trial_candidate)
+        if (trial is None or not trial[2] <= cost) and decrement >= 10 * tolerance:
+            for bent in _bent(step, equations, layout, candidate, theta, change, now, pinned, damping):
+                moved = layout.moved(theta, np.where(fixed, 0.0, bent), candidate)
+                trial_candidate = layout.candidate(moved, candidate)
+                trial = equations(trial_candidate)
+                if trial is not None and trial[2] <= cost:
+                    break
         if trial is None or not trial[2] <= cost:
             converged = decrement < 10 * tolerance
             damping = max(10 * damping, 1e-3)
@@ -271,36 +283,31 @@ def refit(
     return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started)
 
 
-class _Equations:
-    """Information, gradient, cost, count, residuals and Jacobians at a candidate; None where it overflows.
+def _decrement(change, H, g) -> float:
+    """By how much a step lowers the sum of squares, to second order; nothing where there is no step."""
+    return 0.0 if change is None else float(-(2 * g @ change + change @ H @ change))
 
-    The chain does not count the first samples, of which it has no past, but these tell most of the first state, and
-    after a rest in dry friction all of it: they enter as they are, in units of the chain's level.
+
+def _bent(step, equations, layout, candidate, theta, change, now, pinned, damping) -> list[np.ndarray]:
+    """Steps that follow a curved valley to second order, the whole way and a part of it; the model's bend along the
+    straight step is found by a short way ahead.
+
+    **Reference:** Transtrum & Sethna, *Improvements to the Levenberg-Marquardt algorithm* (arXiv:1201.5885, 2012), §3.
     """
-
-    def __init__(self, simulator: Simulator, data: list[Data], chain: Chain, layout: Layout):
-        self.simulator, self.data, self.chain, self.layout = simulator, data, chain, layout
-
-    def __call__(self, candidate: Candidate):
-        runs = [self.simulator.run_and_jacobian(candidate, d, k) for k, d in enumerate(self.data)]
-        residuals = [np.where(d.kept, d.y - y, 0.0) for d, (y, _) in zip(self.data, runs)]
-        if not all(np.all(np.isfinite(e)) and np.all(np.isfinite(J)) for e, (_, J) in zip(residuals, runs)):
-            return None
-        H, g, cost, count = 0.0, 0.0, 0.0, 0
-        for k, d in enumerate(self.data):
-            both = np.concatenate([runs[k][1], residuals[k][:, :, None]], axis=2)
-            head = min(SETTLING, len(d.kept) // 4)
-            first = np.where(d.kept[:head, :, None], both[:head] / self.chain.level[:, None], 0.0)
-            both = np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.chain, both, d.kept)])
-            # What is all but overflowing has no products to speak of.
-            if not np.max(np.abs(both)) <= _LARGEST:
-                return None
-            table = self.layout.widened(both[None, :, :-1], k)[0]
-            H = H + table.T @ table
-            g = g - table.T @ both[:, -1]
-            cost += float(both[:, -1] @ both[:, -1])
-            count += int(counted(d.kept).sum() + d.kept[:head].sum())
-        return H, g, cost, count, tuple(residuals), tuple(J for _, J in runs)
+    H, g = now[0], now[1]
+    ahead = layout.candidate(layout.moved(theta, AHEAD * change, candidate), candidate)
+    slope = equations.slope(ahead, now[5])
+    if slope is None:
+        return []
+    # Minus half of Jᵀ times the second derivative of the outputs along the step.
+    bend = (slope + g + AHEAD * (H @ change)) / AHEAD**2
+    bent = step(theta, pinned[0], np.where(pinned[1] == 0.0, 0.0, g - bend), damping)
+    if bent is None:
+        return []
+    correction, scale = bent - change, np.sqrt(np.maximum(np.diag(H), 0.0))
+    ratio = np.linalg.norm(scale * correction) / max(np.linalg.norm(scale * change), 1e-300)
+    shares = [share for share in PARTS if share * ratio <= BENT]
+    return [layout.limited(share * change + share**2 * correction, theta) for share in shares]
 
 
 def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: int = 2) -> Refit:

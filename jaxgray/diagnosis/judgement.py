@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..identification.conic import pseudo_inverse
-from .extension import Layout, Refit, state_step, weighted
+from .equations import weighted
+from .extension import Layout, Refit, state_step
 from .problem import Candidate, Data
 from .residual import Chain, counted
 from .response import Simulator

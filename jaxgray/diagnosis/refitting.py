@@ -10,7 +10,8 @@ from ..mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ..mechanics.extended import arm_of
 from .bench import Bench, chain_of
 from .competitor import FlexibleForce
-from .extension import Refit, refit, weighted
+from .equations import weighted
+from .extension import Refit, refit
 from .judgement import at_bound, evidence, free_run, overall
 from .pursuit import ROUGH, at_the_same_steps, pursued, sharpened
 from .residual import Chain

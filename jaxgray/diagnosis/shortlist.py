@@ -35,14 +35,20 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
     add(near, 3)
     add(far, 1 if chosen else 3)
     add(white, 1 if chosen else 3)
+    tables = (near, far, white)
     # A law that turns into a simpler one is only worth what it explains beyond that.
     for effect, place in [
         (score.shape.effect, key[1]) for key, score in [*near.items(), *far.items(), *white.items()] if key in chosen
     ]:
         for simpler in effect.contains:
-            known = any((simpler, place) in table for table in (near, far, white))
+            known = any((simpler, place) in table for table in tables)
             if known and (simpler, place) not in chosen:
                 chosen[simpler, place] = []
+    # A law that contains one of these is its refit with little more to find.
+    for table in tables:
+        for key, score in table.items():
+            if key not in chosen and any((simpler, key[1]) in chosen for simpler in score.shape.effect.contains):
+                chosen[key] = []
     # Another place for the best effect: neighbours are easily taken for each other.
     if near:
         first = next(iter(near))
@@ -51,7 +57,7 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
                 chosen[key] = []
                 break
     for key, scores in chosen.items():
-        for table in (near, far, white):
+        for table in tables:
             if key in table and not any(_same(table[key], s) for s in scores):
                 scores.append(table[key])
         del scores[2:]

@@ -1,0 +1,69 @@
+"""Normal equations of a refit: whitened residuals and sensitivities of all records, as products."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .problem import Candidate, Data
+from .residual import SETTLING, Chain, counted
+from .response import Simulator
+
+if TYPE_CHECKING:
+    from .extension import Layout
+
+_LARGEST = 1e100
+
+
+def weighted(chain: Chain, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Whitened columns of the samples that count, as a matrix samples·outputs × columns."""
+    return chain.whiten_rows(np.moveaxis(X, 2, 0), kept, counted(kept)).reshape(X.shape[2], -1).T
+
+
+class Equations:
+    """Information, gradient, cost, count, residuals and Jacobians at a candidate; None where it overflows.
+
+    The chain does not count the first samples, of which it has no past, but these tell most of the first state, and
+    after a rest in dry friction all of it: they enter as they are, in units of the chain's level.
+    """
+
+    def __init__(self, simulator: Simulator, data: list[Data], chain: Chain, layout: "Layout"):
+        self.simulator, self.data, self.chain, self.layout = simulator, data, chain, layout
+
+    def __call__(self, candidate: Candidate):
+        runs = [self.simulator.run_and_jacobian(candidate, d, k) for k, d in enumerate(self.data)]
+        residuals = [np.where(d.kept, d.y - y, 0.0) for d, (y, _) in zip(self.data, runs)]
+        if not all(np.all(np.isfinite(e)) and np.all(np.isfinite(J)) for e, (_, J) in zip(residuals, runs)):
+            return None
+        H, g, cost, count = 0.0, 0.0, 0.0, 0
+        for k, d in enumerate(self.data):
+            both = self._rows(runs[k][1], residuals[k], d)
+            # What is all but overflowing has no products to speak of.
+            if not np.max(np.abs(both)) <= _LARGEST:
+                return None
+            table = self.layout.widened(both[None, :, :-1], k)[0]
+            H = H + table.T @ table
+            g = g - table.T @ both[:, -1]
+            cost += float(both[:, -1] @ both[:, -1])
+            count += int(counted(d.kept).sum() + d.kept[: self._head(d)].sum())
+        return H, g, cost, count, tuple(residuals), tuple(J for _, J in runs)
+
+    @staticmethod
+    def _head(data: Data) -> int:
+        return min(SETTLING, len(data.kept) // 4)
+
+    def _rows(self, J: np.ndarray, e: np.ndarray, data: Data) -> np.ndarray:
+        """Whitened columns of a Jacobian and a residual, the first samples as they are."""
+        both, head = np.concatenate([J, e[:, :, None]], axis=2), self._head(data)
+        first = np.where(data.kept[:head, :, None], both[:head] / self.chain.level[:, None], 0.0)
+        return np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.chain, both, data.kept)])
+
+    def slope(self, candidate: Candidate, jacobians) -> np.ndarray | None:
+        """Products of a candidate's residual with the sensitivities of another, Jᵀ e; None where it overflows."""
+        total = 0.0
+        for k, d in enumerate(self.data):
+            e = np.where(d.kept, d.y - self.simulator.run(candidate, d, k), 0.0)
+            both = self._rows(jacobians[k], e, d)
+            if not np.max(np.abs(both)) <= _LARGEST:
+                return None
+            total = total + self.layout.widened(both[None, :, :-1], k)[0].T @ both[:, -1]
+        return total
