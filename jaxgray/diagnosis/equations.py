@@ -11,6 +11,9 @@ from .response import Simulator
 if TYPE_CHECKING:
     from .extension import Layout
 
+AHEAD = 0.1
+"""Share of a step after which the bend of a valley is measured."""
+
 _LARGEST = 1e100
 
 
@@ -57,13 +60,19 @@ class Equations:
         first = np.where(data.kept[:head, :, None], both[:head] / self.chain.level[:, None], 0.0)
         return np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.chain, both, data.kept)])
 
-    def slope(self, candidate: Candidate, jacobians) -> np.ndarray | None:
-        """Products of a candidate's residual with the sensitivities of another, Jᵀ e; None where it overflows."""
-        total = 0.0
+    def bend(self, ahead: Candidate, now, change: np.ndarray) -> np.ndarray | None:
+        """Minus half of Jᵀ times the second derivative of the outputs along a step.
+
+        **Arguments:** `ahead`: the candidate after the share `AHEAD` of the step; `now`: what a call gave at its
+        beginning; `change`: the step.
+
+        **Returns:** the product, one number per parameter, or None where the candidate overflows.
+        """
+        H, g, jacobians, slope = now[0], now[1], now[5], 0.0
         for k, d in enumerate(self.data):
-            e = np.where(d.kept, d.y - self.simulator.run(candidate, d, k), 0.0)
-            both = self._rows(jacobians[k], e, d)
-            if not np.max(np.abs(both)) <= _LARGEST:
+            e = np.where(d.kept, d.y - self.simulator.run(ahead, d, k), 0.0)
+            if not np.max(np.abs(e)) <= _LARGEST:
                 return None
-            total = total + self.layout.widened(both[None, :, :-1], k)[0].T @ both[:, -1]
-        return total
+            both = self._rows(jacobians[k], e, d)
+            slope = slope + self.layout.widened(both[None, :, :-1], k)[0].T @ both[:, -1]
+        return (slope + g + AHEAD * (H @ change)) / AHEAD**2

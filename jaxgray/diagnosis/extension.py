@@ -1,7 +1,7 @@
 """Refit of everything: M, D, K over physical matrices, first states, and the parameters of all effects.
 
-Damped Gauss-Newton on the whitened free-run error. Every step is a small semidefinite least squares: M ≻ 0, D ⪰ 0,
-K ⪰ 0, and each bounded parameter of an effect as a block of one.
+Damped Gauss-Newton on the whitened free-run error, along curved valleys to second order. Every step is a small
+semidefinite least squares: M ≻ 0, D ⪰ 0, K ⪰ 0, and each bounded parameter of an effect as a block of one.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from ..identification.conic import MASS_FLOOR, pseudo_inverse
 from ..mechanics.effects.base import Term
 from ..numerics.outcomes import ComputationError
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
-from .equations import Equations
+from .equations import AHEAD, Equations
 from .problem import Candidate, Data, Setup, estimated
 from .residual import Chain
 from .response import Simulator
@@ -25,14 +25,12 @@ DECREMENT = 1e-2
 SLOW = 0.85
 """Ratio of a step's sums of squares above which a fit falls slowly."""
 
-AHEAD = 0.1
-"""Share of a step after which the bend of a valley is measured."""
-
 PARTS = (1.0, 0.3)
 """Shares of a step that are tried along a curved valley."""
 
 BENT = 0.75
-"""Correction for the bend, relative to the step, up to which a step is not too long."""
+"""Correction for the bend, relative to the step, up to which a step is tried; twice that of the reference, since one
+that fails costs a simulation and a shorter one follows."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +247,8 @@ def refit(
         if change is None:
             damping = max(10 * damping, 1e-3)
             continue
-        change = layout.limited(np.where(fixed, 0.0, change), theta)
+        full = np.where(fixed, 0.0, change)
+        change = layout.limited(full, theta)
         variance = max(cost / max(now[3], 1), 1e-300)
         decrement = _decrement(change, H, g) / variance
         if decrement < tolerance:
@@ -263,14 +262,17 @@ def refit(
         trial_candidate = layout.candidate(moved, candidate)
         trial = equations(trial_candidate)
         if (trial is None or not trial[2] <= cost) and decrement >= 10 * tolerance:
-            for bent in _bent(step, equations, layout, candidate, theta, change, now, pinned, damping):
-                moved = layout.moved(theta, np.where(fixed, 0.0, bent), candidate)
+            ahead = layout.candidate(layout.moved(theta, AHEAD * change, candidate), candidate)
+            bend = equations.bend(ahead, now, change)
+            bowed = None if bend is None else step(theta, pinned[0], np.where(fixed, 0.0, g - bend), damping)
+            for bent in [] if bowed is None else _along(change, np.where(fixed, 0.0, bowed) - full, H):
+                moved = layout.moved(theta, layout.limited(bent, theta), candidate)
                 trial_candidate = layout.candidate(moved, candidate)
                 trial = equations(trial_candidate)
                 if trial is not None and trial[2] <= cost:
                     break
         if trial is None or not trial[2] <= cost:
-            converged = decrement < 10 * tolerance
+            converged = damping == 0.0 and decrement < 10 * tolerance
             damping = max(10 * damping, 1e-3)
             continue
         theta, candidate, now, before = moved, trial_candidate, trial, cost
@@ -284,30 +286,18 @@ def refit(
 
 
 def _decrement(change, H, g) -> float:
-    """By how much a step lowers the sum of squares, to second order; nothing where there is no step."""
-    return 0.0 if change is None else float(-(2 * g @ change + change @ H @ change))
+    """By how much a step lowers the sum of squares, to second order; infinite where none was found."""
+    return np.inf if change is None else float(-(2 * g @ change + change @ H @ change))
 
 
-def _bent(step, equations, layout, candidate, theta, change, now, pinned, damping) -> list[np.ndarray]:
-    """Steps that follow a curved valley to second order, the whole way and a part of it; the model's bend along the
-    straight step is found by a short way ahead.
+def _along(change: np.ndarray, correction: np.ndarray, H: np.ndarray) -> list[np.ndarray]:
+    """Steps along a curved valley, the whole way and a part of it, as far as the correction is small.
 
     **Reference:** Transtrum & Sethna, *Improvements to the Levenberg-Marquardt algorithm* (arXiv:1201.5885, 2012), §3.
     """
-    H, g = now[0], now[1]
-    ahead = layout.candidate(layout.moved(theta, AHEAD * change, candidate), candidate)
-    slope = equations.slope(ahead, now[5])
-    if slope is None:
-        return []
-    # Minus half of Jᵀ times the second derivative of the outputs along the step.
-    bend = (slope + g + AHEAD * (H @ change)) / AHEAD**2
-    bent = step(theta, pinned[0], np.where(pinned[1] == 0.0, 0.0, g - bend), damping)
-    if bent is None:
-        return []
-    correction, scale = bent - change, np.sqrt(np.maximum(np.diag(H), 0.0))
+    scale = np.sqrt(np.maximum(np.diag(H), 0.0))
     ratio = np.linalg.norm(scale * correction) / max(np.linalg.norm(scale * change), 1e-300)
-    shares = [share for share in PARTS if share * ratio <= BENT]
-    return [layout.limited(share * change + share**2 * correction, theta) for share in shares]
+    return [share * change + share**2 * correction for share in PARTS if share * ratio <= BENT]
 
 
 def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: int = 2) -> Refit:

@@ -7,7 +7,7 @@ from .judgement import ACCEPTED
 from .screening import Score, Screening
 
 TRIED = 4
-"""Candidates that are refitted in a round."""
+"""Candidates of a round up to which another place of the best is tried, too."""
 
 SAME = 0.05
 """Relative difference of estimated shape parameters up to which two starts are one."""
@@ -44,11 +44,6 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
             known = any((simpler, place) in table for table in tables)
             if known and (simpler, place) not in chosen:
                 chosen[simpler, place] = []
-    # A law that contains one of these is its refit with little more to find.
-    for table in tables:
-        for key, score in table.items():
-            if key not in chosen and any((simpler, key[1]) in chosen for simpler in score.shape.effect.contains):
-                chosen[key] = []
     # Another place for the best effect: neighbours are easily taken for each other.
     if near:
         first = next(iter(near))
@@ -56,6 +51,12 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
             if key[0] == first[0] and key not in chosen and score.delta_bic > ACCEPTED and len(chosen) < TRIED + 1:
                 chosen[key] = []
                 break
+    # A law that contains one of these is its refit with little more to find.
+    simple = set(chosen)
+    for key, score in ((key, score) for table in tables for key, score in table.items()):
+        inside = any((simpler, key[1]) in simple for simpler in score.shape.effect.contains)
+        if inside and key not in chosen and score.delta_bic > ACCEPTED:
+            chosen[key] = []
     for key, scores in chosen.items():
         for table in tables:
             if key in table and not any(_same(table[key], s) for s in scores):

@@ -40,10 +40,13 @@ def widen() -> None:
 def compile_sooner() -> None:
     """Choose the former emitter of fused loops, where this release has both and the user has not chosen.
 
-    It compiles the programs of a diagnosis in half of the time (36 s against 18 s), and they run as fast (sweep,
+    It compiles the programs of a diagnosis in half of the time (18 s against 36 s), and they run as fast (sweep,
     refinement and diagnosis within 10 % either way; the Jacobian of a linear simulation loses 1.5 ms).
     """
-    flags = os.environ.get("XLA_FLAGS", "")
+    flags = os.environ.get("XLA_FLAGS", "").strip()
+    if flags and not flags.startswith("-"):
+        # The name of a file with flags.
+        return
     if EMITTER_FLAG not in flags and EMITTER_VERSIONS[0] <= _release("jaxlib") < EMITTER_VERSIONS[1]:
         os.environ["XLA_FLAGS"] = f"{flags} --{EMITTER_FLAG}=false".strip()
 

@@ -98,10 +98,10 @@ def _card(
     # Of a single finding the gain is that of the whole extension, which the sentence tells.
     gain = document["extended"]["gain"] if count == 1 and document["extended"] else finding["gain"]
     seen = "on held-out data" if gain and gain["held_out"] else "on the data of the fit"
-    if gain and None not in gain["ci95"] and gain["ci95"][1] - gain["ci95"][0] > WIDE:
-        seen += "; the interval is wide because its parts differ much"
     if index:
         seen += ", beyond the cause above" if index == 1 else ", beyond the causes above"
+    if gain and None not in gain["ci95"] and gain["ci95"][1] - gain["ci95"][0] > WIDE:
+        seen += "; the interval is wide: the gain differs much between parts of the record"
     kind = (
         "" if law is None else KINDS.get("pair" if " and " in place_of(finding["location"], names) else law.places, "")
     )

@@ -26,7 +26,8 @@ def test_rowwise_products_agree_with_numpy(columns):
 
 def test_few_cores_get_more_threads_unless_the_user_has_said_how_many(monkeypatch):
     monkeypatch.setattr(backend, "cores", lambda: 2)
-    monkeypatch.delenv("NPROC", raising=False)
+    monkeypatch.setenv("NPROC", "")
+    monkeypatch.delenv("NPROC")
     backend.widen()
     assert os.environ["NPROC"] == "4"
     monkeypatch.setenv("NPROC", "3")
@@ -40,12 +41,16 @@ def test_few_cores_get_more_threads_unless_the_user_has_said_how_many(monkeypatc
 
 def test_the_quick_emitter_is_asked_for_where_it_is_known_and_the_user_has_not_chosen(monkeypatch):
     flag = "--xla_cpu_use_fusion_emitters"
+    monkeypatch.setattr(importlib.metadata, "version", lambda package: "0.10.1")
     monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
     backend.compile_sooner()
     assert os.environ["XLA_FLAGS"] == f"--xla_force_host_platform_device_count=2 {flag}=false"
     monkeypatch.setenv("XLA_FLAGS", f"{flag}=true")
     backend.compile_sooner()
     assert os.environ["XLA_FLAGS"] == f"{flag}=true"
+    monkeypatch.setenv("XLA_FLAGS", "/a/file/with/flags")
+    backend.compile_sooner()
+    assert os.environ["XLA_FLAGS"] == "/a/file/with/flags"
     # A release that does not know the flag would end the process.
     monkeypatch.delenv("XLA_FLAGS")
     monkeypatch.setattr(importlib.metadata, "version", lambda package: "0.12.1")
