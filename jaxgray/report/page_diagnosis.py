@@ -229,7 +229,7 @@ def _sections(diagnosis: Diagnosis, document: dict):
     yield Section(
         "budget",
         "Error budget",
-        "Where the mean square error of the model before comes from.",
+        "Where the mean square error comes from, before anything is added to the model.",
         (budget_plot(document), Table(budget_rows(document), "Shares of the mean square error")) if budget else (),
     )
     missing = not_found_rows(document)

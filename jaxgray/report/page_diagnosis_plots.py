@@ -182,7 +182,7 @@ def ranking_plot(rows: list[dict], names: tuple[str, ...]) -> Plot | None:
             marker = {"color": colour, "size": 10, "symbol": symbol, "line": {"color": colour, "width": 2}}
             traces.append({"x": values, "y": labels, "name": label, "mode": "markers", "marker": marker})
     layout = {
-        "xaxis": axis("ΔBIC (from 10 it counts)", type="log"),
+        "xaxis": axis("ΔBIC (counts from 10)", type="log"),
         "yaxis": {"type": "category", "automargin": True},
         "shapes": [
             {
@@ -221,7 +221,7 @@ def budget_plot(document: dict) -> Plot:
         )
     layout = {
         "barmode": "relative",
-        "xaxis": axis("share of the mean square error of the model before [%]"),
+        "xaxis": axis("share of mean square error [%]"),
         "yaxis": {"showticklabels": False, "fixedrange": True},
         "hovermode": "closest",
     }
