@@ -23,7 +23,9 @@ def weighted(chain: Chain, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
 
 
 class Equations:
-    """Information, gradient, cost, count, residuals and Jacobians at a candidate; None where it overflows.
+    """Called with a candidate: information H = JᵀJ, gradient g = −Jᵀe, cost eᵀe and count of the whitened samples, then
+    residuals e (samples × outputs) and Jacobians J of the outputs (by that record's parameters) of every record as they
+    are; None where it overflows.
 
     The chain does not count the first samples, of which it has no past, but these tell most of the first state, and
     after a rest in dry friction all of it: they enter as they are, in units of the chain's level.
@@ -60,15 +62,16 @@ class Equations:
         first = np.where(data.kept[:head, :, None], both[:head] / self.chain.level[:, None], 0.0)
         return np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.chain, both, data.kept)])
 
-    def bend(self, ahead: Candidate, now, change: np.ndarray) -> np.ndarray | None:
-        """Minus half of Jᵀ times the second derivative of the outputs along a step.
+    def bend(self, theta: np.ndarray, candidate: Candidate, change: np.ndarray, now) -> np.ndarray | None:
+        """Minus half of Jᵀ times the second derivative of the outputs along a step, by a finite difference.
 
-        **Arguments:** `ahead`: the candidate after the share `AHEAD` of the step; `now`: what a call gave at its
-        beginning; `change`: the step.
+        **Arguments:** `theta`: the parameters of `candidate`, where the step begins; `change`: the step; `now`: what
+        a call gave there.
 
-        **Returns:** the product, one number per parameter, or None where the candidate overflows.
+        **Returns:** the product, one number per parameter, or None where a part of the step overflows.
         """
         H, g, jacobians, slope = now[0], now[1], now[5], 0.0
+        ahead = self.layout.candidate(self.layout.moved(theta, AHEAD * change, candidate), candidate)
         for k, d in enumerate(self.data):
             e = np.where(d.kept, d.y - self.simulator.run(ahead, d, k), 0.0)
             if not np.max(np.abs(e)) <= _LARGEST:

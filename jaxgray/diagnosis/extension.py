@@ -14,7 +14,7 @@ from ..identification.conic import MASS_FLOOR, pseudo_inverse
 from ..mechanics.effects.base import Term
 from ..numerics.outcomes import ComputationError
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
-from .equations import AHEAD, Equations
+from .equations import Equations
 from .problem import Candidate, Data, Setup, estimated
 from .residual import Chain
 from .response import Simulator
@@ -262,8 +262,7 @@ def refit(
         trial_candidate = layout.candidate(moved, candidate)
         trial = equations(trial_candidate)
         if (trial is None or not trial[2] <= cost) and decrement >= 10 * tolerance:
-            ahead = layout.candidate(layout.moved(theta, AHEAD * change, candidate), candidate)
-            bend = equations.bend(ahead, now, change)
+            bend = equations.bend(theta, candidate, change, now)
             bowed = None if bend is None else step(theta, pinned[0], np.where(fixed, 0.0, g - bend), damping)
             for bent in [] if bowed is None else _along(change, np.where(fixed, 0.0, bowed) - full, H):
                 moved = layout.moved(theta, layout.limited(bent, theta), candidate)

@@ -78,8 +78,6 @@ def _explains(table: np.ndarray, y: np.ndarray, significance: float) -> bool:
     U, s, _ = np.linalg.svd(table / np.maximum(np.linalg.norm(table, axis=0), 1e-300), full_matrices=False)
     U = U[:, s > 1e-9 * s[0]]
     count = U.shape[1]
-    if len(y) < 3 * count:
-        return False
     taken = float(np.sum((U.T @ y) ** 2))
     left = max(float(y @ y) - taken, 0.0)
     if left <= 1e-12 * taken:

@@ -173,7 +173,7 @@ def ranking(diagnosis: Diagnosis, *, most: int = 15) -> Figure:
     axis.set_yticks(range(len(rows)), [title_of(row["effect"], row["location"], names) for row in rows])
     for text, row in zip(axis.get_yticklabels(), rows):
         text.set_fontweight("bold" if row["status"] in ("named", "equivalent", "partly") else "normal")
-    axis.set_xlabel("ΔBIC (from 10 it counts)")
+    axis.set_xlabel("ΔBIC (counts from 10)")
     axis.grid(axis="y", color="0.92")
     if rows:
         axis.legend(fontsize="small")

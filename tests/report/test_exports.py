@@ -138,8 +138,8 @@ def test_matlab(name, tmp_path):
 
 IN_THE_MATLAB_LANGUAGE = """
 load model.mat; load input.mat;
-x = x0 - Hd * u(1, :)'; y = zeros(rows(u), rows(Cd));
-for k = 1:rows(u)
+x = x0 - Hd * u(1, :)'; y = zeros(size(u, 1), size(Cd, 1));
+for k = 1:size(u, 1)
   y(k, :) = Cd * x + Dd * u(k, :)'; x = Ad * x + Bd * u(k, :)';
 end
 assert(iscellstr(output_names) && ischar(hold)); save -v7 output.mat y output_names;
