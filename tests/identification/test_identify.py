@@ -7,6 +7,7 @@ import pytest
 from jaxgray import ComputationError, MechanicalModel, Record, identify
 from jaxgray.identification.modal_start import modal_start
 from jaxgray.identification.preparation import prepare, scaling_of
+from jaxgray.identification.reach import check_reach
 
 pytestmark = pytest.mark.xdist_group("identify")
 
@@ -325,3 +326,25 @@ def test_quasi_static_record_says_that_inertia_is_not_visible():
         assert "try" in str(error).lower() or "excite" in str(error).lower()
     else:
         assert any("Excite nearer" in text for text in found.warnings), found.warnings
+
+
+def test_a_slow_motion_sampled_fast_is_reached_by_its_inputs():
+    # Whitened sample by sample, little but noise is left of it.
+    rng = np.random.default_rng([3005, 3])
+    M, D, K = data.random_system(rng, 3)
+    h = 10.0 ** rng.uniform([-4, -2.6], [4, -1.9])[1]
+    u = data.random_steps(rng, 4000, 3, h, (0.1, 1.0))
+    x0 = rng.standard_normal(6) * np.repeat([0.003, 0.03], 3)
+    y = data.simulate(M, D, K, u, h, x0=x0)
+    y = y + rng.uniform(-1, 1, 3) * y.std(axis=0)
+    y = y + 10 ** rng.uniform(-3, -1.5) * y.std(axis=0) * rng.standard_normal(y.shape)
+    names = ("u1", "u2", "u3"), ("y1", "y2", "y3")
+
+    def check(y):
+        record = Record(u, y, h)
+        check_reach([prepare(record, scaling_of([record]))], *names)
+
+    check(y)
+    y[:, 1] = rng.standard_normal(4000)
+    with pytest.raises(ComputationError, match="does not reach coordinate y2"):
+        check(y)
