@@ -127,7 +127,8 @@ def fresh(rng, case):
     noisy = clean + coloured(rng, samples, case.noise, case.colour)
     if force is not None:
         noisy = noisy + simulate(case.system, np.zeros_like(u), case.sampling_time, (), force=force)
-    return u, spoilt(rng, noisy, case.effects), clean, p
+    y = spoilt(rng, noisy, case.effects)
+    return u[: len(y)], y, clean[: len(y)], None if p is None else p[: len(y)]
 
 
 def spoilt(rng, y, effects):
@@ -148,8 +149,8 @@ def spoilt(rng, y, effects):
         elif e.id == "dropped_samples" and p["form"] == "missing":
             y[rng.choice(np.arange(1, len(y) - 1), size=p["count"], replace=False)] = np.nan
         elif e.id == "dropped_samples":
+            # Shorter than the inputs, whose end is then of no use.
             y = np.delete(y, np.arange(p["at"], p["at"] + p["count"]), axis=0)
-            y = np.vstack([y, np.repeat(y[-1:], p["count"], axis=0)])
     return y
 
 

@@ -137,7 +137,9 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
             closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names, screening.chain)
             if not closer.shows:
                 closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names)
-        if not _round(bench, growth, screening, closer):
+        ranked = _refitted(bench, growth, screening, closer)
+        if not _accepted(bench, growth, ranked):
+            growth.unexplained = screening.fires and not _refuted(screening, ranked)
             return
         _backward(bench, growth)
         growth.unexplained = False
@@ -171,13 +173,24 @@ def _behind_the_noise(bench: Bench, stage: Stage, screening: Screening) -> Scree
     return closer if closer.scores and closer.scores[0].delta_bic > BEHIND else None
 
 
-def _round(bench: Bench, growth: Growth, screening: Screening, closer: Screening) -> bool:
-    """Refit the most promising candidates and accept the best that holds; whether one did."""
+def _refuted(screening: Screening, ranked: list[Attempt]) -> bool:
+    """Whether a gate that barely opened was wrong: it sees effects to first order, and refitted none of them counts."""
+    barely = screening.scores[0].delta_bic < 2 * screening.threshold
+    return barely and bool(ranked) and all(attempt.delta_bic < ACCEPTED for attempt in ranked)
+
+
+def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screening) -> list[Attempt]:
+    """The most promising candidates, refitted, best first."""
     stage = growth.stage
     chain = closer.chain if closer.shows else white_chain(stage.e, bench.data[0].kept, stage.system)
     attempts = attempts_of(bench, growth.stage, shortlist(screening, closer), chain, growth.rejected)
     ranked = _simplified(compared(bench, stage, list(attempts.values())))
     growth.tried |= {attempt.name: attempt.fit for attempt in ranked}
+    return ranked
+
+
+def _accepted(bench: Bench, growth: Growth, ranked: list[Attempt]) -> bool:
+    """Accept the best candidate that holds; whether one did."""
     floor = _floor(bench, ranked)
     for k, attempt in enumerate(ranked):
         bench.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
@@ -266,8 +279,10 @@ def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
         return "its free run leaves more than it explains", None, None
     before = overall(residual_rms(growth.stage.e, bench.data[0]), floor) ** 2
     after = overall(residual_rms(attempt.fit.residual[0], bench.data[0]), floor) ** 2
+    if after > before:
+        return "its free run leaves more than the model without it", None, None
     if before - after < EXPLAINED * max(before - 1.0, 0.0):
-        share = 100 * (before - after) / max(before - 1.0, 1e-300)
+        share = 100 * (before - after) / (before - 1.0)
         return f"explains only {share:.0f} % of the excess", None, None
     local = attempt.name[0] in TIME_LOCAL and not (bench.separate and attempt.name[0] != "periodic_disturbance")
     names = bench.names[1]

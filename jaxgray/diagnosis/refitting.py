@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mechanics.effects.base import Scales, Term
+from ..mechanics.effects.base import Term
 from ..mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ..mechanics.extended import arm_of
 from .bench import Bench, chain_of
@@ -13,6 +13,7 @@ from .competitor import FlexibleForce
 from .equations import weighted
 from .extension import Refit, refit
 from .judgement import at_bound, evidence, free_run, overall
+from .moments import dated, softened
 from .pursuit import ROUGH, at_the_same_steps, pursued, sharpened
 from .residual import Chain
 from .result import Rejected
@@ -203,7 +204,7 @@ def _penalty(bench: Bench, score: Score) -> float:
 
 def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: float) -> Refit | None:
     """Refit the model with one more term under a given chain; given up early where it is far behind the best."""
-    fit = None
+    fit, smeared = None, 0.0
     nothing = float(np.sum(weighted(chain, stage.e[:, :, None], bench.data[0].kept) ** 2))
     with np.errstate(over="ignore"):
         abandon = np.exp((best + 2 * HOPELESS - _penalty(bench, score)) / rows_of(bench.data[0]))
@@ -218,14 +219,20 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
             term = Term(term.effect, term.place, values)
         begin = stage.candidate if fit is None else fit.candidate
         terms = (*stage.candidate.terms, term) if fit is None else (*fit.candidate.terms[:-1], term)
+        begin = begin.with_terms(terms)
+        if fit is not None:
+            begin = dated(bench, begin, chain, smeared)
+        smeared = _width(term)
         options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
-        begun = refit(bench.simulator, begin.with_terms(terms), bench.data, chain, **options)
+        begun = refit(bench.simulator, begin, bench.data, chain, **options)
         if fit is None and (begun is None or begun.started > nothing):
             # The linear model took so much of the effect upon itself that all must move together, from little.
             little = score.shape.term(LITTLE * score.weights)
             little = Term(term.effect, term.place, np.where(_amplitudes(term), little.values, term.values))
             terms = (*stage.candidate.terms, little)
-            again = refit(bench.simulator, begin.with_terms(terms), bench.data, chain, shapes_after=2, **options)
+            again = refit(
+                bench.simulator, stage.candidate.with_terms(terms), bench.data, chain, shapes_after=2, **options
+            )
             if begun is None or (again is not None and again.cost < begun.cost):
                 begun = again
         fit = begun
@@ -234,23 +241,14 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
     return fit
 
 
+def _width(term: Term) -> float:
+    """Over how long [s] a jump is smeared, 0 where there is none."""
+    names = [p.name for p in term.effect.parameters]
+    return float(term.values[names.index("width")]) if "width" in names else 0.0
+
+
 def _amplitudes(term: Term) -> np.ndarray:
     return np.array([parameter.amplitude for parameter in term.effect.parameters])
-
-
-def softened(term: Term, scales: Scales) -> list[Term]:
-    """The terms to refit one after the other: a sudden change first smeared over the distance between the times that
-    were tried, since only the samples inside its edge can tell where it belongs."""
-    names = [p.name for p in term.effect.parameters]
-    if "width" not in names or len(scales.times) < 2:
-        return [term]
-    spacing = scales.times[1] - scales.times[0]
-    result = []
-    for width in (2 * spacing, spacing / 2, spacing / 8, scales.sampling_time):
-        values = np.array(term.values, float)
-        values[names.index("width")] = width
-        result.append(Term(term.effect, term.place, values))
-    return result
 
 
 def compared(bench: Bench, stage: Stage, attempts: list[Attempt]) -> list[Attempt]:
