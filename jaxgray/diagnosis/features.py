@@ -113,9 +113,10 @@ def features(
             if shapes is not None and (effect.id, place.name) not in shapes:
                 continue
             grid = effect.shapes(here) if shapes is None else shapes[effect.id, place.name]
+            tried = effect.looks(here, grid) * len(places)
             for values in grid:
                 basis = tuple(effect.basis(values))
-                all_shapes.append(Shape(effect, place, np.asarray(values, float), basis, here, len(grid) * len(places)))
+                all_shapes.append(Shape(effect, place, np.asarray(values, float), basis, here, tried))
                 kind = _kind(effect)
                 key = (kind, place.name if kind != "matrix" else effect.extra)
                 groups.setdefault(key, []).append(len(all_shapes) - 1)

@@ -87,7 +87,7 @@ class Library:
             basis = tuple(effect.basis(values))
             made = [self.equation.added(Term(effect, place, b)) for b in basis]
             if all(np.all(np.isfinite(x)) for one in made for x in one):
-                self.shapes.append(Shape(effect, place, values, basis, scales, len(grid) * places))
+                self.shapes.append(Shape(effect, place, values, basis, scales, effect.looks(scales, grid) * places))
                 # records → rows × dofs × basis
                 self.columns.append([np.stack([one[r] for one in made], axis=2) for r in range(len(made[0]))])
 

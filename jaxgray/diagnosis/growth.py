@@ -139,7 +139,7 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
                 closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names)
         ranked = _refitted(bench, growth, screening, closer)
         if not _accepted(bench, growth, ranked):
-            growth.unexplained = screening.fires and not _refuted(screening, ranked)
+            growth.unexplained = screening.fires and not _refuted(bench, growth, ranked, searched)
             return
         _backward(bench, growth)
         growth.unexplained = False
@@ -173,10 +173,22 @@ def _behind_the_noise(bench: Bench, stage: Stage, screening: Screening) -> Scree
     return closer if closer.scores and closer.scores[0].delta_bic > BEHIND else None
 
 
-def _refuted(screening: Screening, ranked: list[Attempt]) -> bool:
-    """Whether a gate that barely opened was wrong: it sees effects to first order, and refitted none of them counts."""
-    barely = screening.scores[0].delta_bic < 2 * screening.threshold
-    return barely and bool(ranked) and all(attempt.delta_bic < ACCEPTED for attempt in ranked)
+def _refuted(bench: Bench, growth: Growth, ranked: list[Attempt], searched: tuple[AbstractEffect, ...]) -> bool:
+    """Whether the gate was wrong: it sees effects to first order, and of those refitted none counts.
+
+    It must have opened barely, or stay shut under the noise that the best refit leaves: where it took noise at the
+    forces for white, every effect seemed to explain some of it.
+    """
+    if not ranked or any(attempt.delta_bic >= ACCEPTED for attempt in ranked):
+        return False
+    if growth.screening.scores[0].delta_bic < 2 * growth.screening.threshold:
+        return True
+    chain = ranked[0].chain
+    again = look(growth.stage, bench.data[0], searched, bench.names, chain=chain, rng=bench.rng)
+    if again.fires or again.chain.ratio == 0.0:
+        return False
+    growth.screening = again
+    return True
 
 
 def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screening) -> list[Attempt]:

@@ -6,7 +6,7 @@ from ..identification.validation import residual_test
 from ..records import Record, preflight
 from .result import Estimate, Finding
 
-WORTH = 20.0
+WORTH = 10.0
 """Difference of likelihood (N ln det) from which noise at the forces is said."""
 
 PLAUSIBLE = 1.0

@@ -86,7 +86,7 @@ def structure_test(
             extra = starts[1:] or [np.concatenate([own.poles, new[None]]) for new in further_modes(own, data)]
             further = min((fit_rival(poles, data) for poles in extra), key=lambda fit: fit.cost)
             judged.append(_judge(further, data, left, parameters, CELLS, ringing or 1.0))
-        best = min(judged, key=lambda found: found[0])
+        best = min(judged, key=lambda found: (found[0], -found[1]))
         rest = judged[-1][2].residual.T
         if ringing is None:
             explained = 1.0 - judged[-1][2].cost / max(left, 1e-300)

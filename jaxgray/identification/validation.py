@@ -27,8 +27,15 @@ class Fit:
     rmse: Float[np.ndarray, " outputs"]
 
 
-FEEDBACK = 0.002
-"""Probability at which a correlation with future inputs is said: it is a warning, and most records are open loop."""
+FEEDBACK = 1e-6
+"""Probability at which a correlation with future inputs is said: most records are open loop, and a fit that bends to
+the colour of the noise leaves a little of the kind."""
+
+FAR = (0.13, 0.29, 0.41, 0.57, 0.71, 0.87)
+"""Shares of the record by which an input is shifted until it has nothing to do with a residual."""
+
+STANDS_OUT = 1.5
+"""How much more than with inputs so shifted a residual must agree with future ones."""
 
 
 def fit_of(measured: Float[np.ndarray, "samples outputs"], simulated: Float[np.ndarray, "samples outputs"]) -> Fit:
@@ -64,13 +71,30 @@ def _correlation(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
     return correlation(a, b, lags) / len(a)
 
 
-def _chance(c: np.ndarray, own: np.ndarray, samples: int) -> float:
-    """Probability of correlations as large as `c` with a signal whose own correlation is `own`."""
+def _statistic(c: np.ndarray, own: np.ndarray, samples: int) -> tuple[float, int]:
+    """Sum of squares of correlations with a signal whose own correlation is `own`, in units of their variance, and
+    how many it counts."""
     values, vectors = np.linalg.eigh(scipy.linalg.toeplitz(own[: len(c)]) / samples)
     kept = values > 1e-2 * values[-1]
-    if not kept.any():
-        return 1.0
-    return float(scipy.special.chdtrc(int(kept.sum()), np.sum((vectors[:, kept].T @ c) ** 2 / values[kept])))
+    return float(np.sum((vectors[:, kept].T @ c) ** 2 / values[kept])), int(kept.sum())
+
+
+def _chance(c: np.ndarray, own: np.ndarray, samples: int) -> float:
+    """Probability of correlations as large as `c` with a signal whose own correlation is `own`."""
+    statistic, count = _statistic(c, own, samples)
+    return float(scipy.special.chdtrc(count, statistic)) if count else 1.0
+
+
+def _follows(e: np.ndarray, u: np.ndarray, own: np.ndarray, lags: range, pairs: int) -> bool:
+    """Whether correlations of a residual with an input at some lags are no chance, and stand out from those with the
+    input shifted far away: a periodic input and a residual of some colour agree at any lag."""
+    n, most = len(u), max(map(abs, lags))
+    chosen = [lag + most for lag in lags]
+    c = _correlation(e, u, most)[chosen]
+    if _chance(c, own, n) * pairs >= FEEDBACK:
+        return False
+    far = (_correlation(e, np.roll(u, int(part * n)), most)[chosen] for part in FAR)
+    return _statistic(c, own, n)[0] > STANDS_OUT * max(_statistic(x, own, n)[0] for x in far)
 
 
 def residual_test(
@@ -125,9 +149,8 @@ def residual_test(
             c = _correlation(innovations[:, k], w, lags)
             pairs = outputs * u.shape[1]
             late |= _chance(c[lags + 1 :], own[lags:], n) * pairs < 0.01
-            c = _correlation(innovations[:, k], calm, lags)
-            early |= _chance(c[:lags], calm_own[lags:], n) * pairs < FEEDBACK
-            at_once |= _chance(c[lags : lags + 1], calm_own[lags:], n) * pairs < FEEDBACK
+            early |= _follows(innovations[:, k], calm, calm_own[lags:], range(-lags, 0), pairs)
+            at_once |= _follows(innovations[:, k], calm, calm_own[lags:], range(0, 1), pairs)
     return ResidualTest(
         auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, early or (at_once and not late)
     )

@@ -116,6 +116,10 @@ class AbstractEffect(eqx.Module):
         nearly linear in it: then its entry is a typical size.
         """
 
+    def looks(self, scales: Scales, grid: list[np.ndarray]) -> int:
+        """Among how many shapes those of `grid` were chosen: more than they are where the record itself chose them."""
+        return len(grid)
+
     def basis(self, p: np.ndarray) -> list[np.ndarray]:
         """Parameter vectors whose responses, taken linearly, span what a shape can do: one per amplitude, the other
         amplitudes zero."""

@@ -25,6 +25,10 @@ class PeriodicDisturbance(AbstractForceEffect):
     def shapes(self, scales):
         return [np.array([1.0, frequency, 0.0]) for frequency in scales.lines_hz]
 
+    def looks(self, scales, grid):
+        # The strongest of all lines that the record resolves.
+        return max(len(grid), int(scales.duration / scales.sampling_time / 2))
+
     def basis(self, p):
         return [np.array([p[0], p[1], 0.0]), np.array([p[0], p[1], 0.5 * np.pi])]
 
