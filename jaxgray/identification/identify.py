@@ -1,5 +1,7 @@
 """From records to a physical model: the pipeline, nothing else."""
 
+import dataclasses
+
 import jax
 import numpy as np
 
@@ -117,6 +119,7 @@ def identify(
     check_reach(complete, records[0].input_names, records[0].output_names)
 
     options = _start_options(records, time_constants, block_rows, weight, map, input_matrix_from, known["mass"])
+    options = dataclasses.replace(options, thorough=not refine)
     starts = starts_of(complete, setting, scaling.sampling_time, options, progress)
     if complete is not signals:
         runs = [model_run(starts[0].matrices, setting, s)[0] for s in complete]

@@ -25,6 +25,11 @@ from .sweep import candidates, drives_every_coordinate, record_factors, score
 
 BASIS_LIMIT = 1e10
 MOST_CELLS = 5
+"""Cells of the grid that are carried on where the first does not serve."""
+
+THOROUGH_CELLS = 14
+"""The same where the start is the end: cells that simulate alike differ in M, D, K, and the record says which to take
+only once B₂ is fitted to it."""
 
 POOR = 0.3
 """Share of an output's power left by a start above which others are tried too."""
@@ -67,7 +72,7 @@ class StartOptions:
 
     `time_constants` [s] and `block_rows` to try; `weight`; `map`; `input_matrix_from`: "record" (regression on
     simulated responses), "factor" (the paper's step 6), or "best" (both, judged by free run); `known_mass`: scaled,
-    or None.
+    or None; `thorough`: whether no refinement follows, so that the best of many cells is looked for.
     """
 
     time_constants: Float[np.ndarray, " time_constants"]
@@ -76,6 +81,7 @@ class StartOptions:
     map: AbstractMap
     input_matrix_from: str
     known_mass: Array | None
+    thorough: bool = False
 
 
 @eqx.filter_jit
@@ -141,8 +147,8 @@ def subspace_starts(
 ) -> list[Start]:
     """Subspace models from a grid of time constants and block rows, best first.
 
-    One where the best cell serves; where the model of a cell simulates poorly (its damping, say, was cut off at the
-    edge of what is physical), those of the next cells too.
+    One where the best cell serves and a refinement follows; where the model of a cell simulates poorly (its damping,
+    say, was cut off at the edge of what is physical), those of the next cells too.
 
     **Arguments:** `signals`: scaled records; `setting`; `sampling_time` [s]; `options`.
 
@@ -173,7 +179,7 @@ def subspace_starts(
     order = np.argsort(-table, axis=None)[: int(np.isfinite(table).sum())]
     failure = None
     starts: list[Start] = []
-    for flat in order[:MOST_CELLS]:
+    for flat in order[: THOROUGH_CELLS if options.thorough else MOST_CELLS]:
         index = np.unravel_index(flat, table.shape)
         chosen = jax.tree_util.tree_map(lambda leaf, index=index: np.asarray(leaf[index]), found)
         best = None
@@ -197,7 +203,7 @@ def subspace_starts(
                 best = here
         if best is not None:
             starts.append(best)
-            if best.serves:
+            if best.serves and not options.thorough:
                 break
     if not starts:
         raise failure or ComputationError(RESULTS.unstable_start, stage="subspace start")
