@@ -34,6 +34,9 @@ from .stage import Stage, look, look_closer, stage_of
 EXPLAINED = 0.1
 """Least share of the excess that a finding must explain."""
 
+SLIGHT = 0.02
+"""Share of what is left that the best effect must explain for "unexplained" to be said when no refit holds."""
+
 STANDING = (
     frozenset(("input_delay", "actuator_lag", "intersample_hold", "sensor_delay", "sensor_lag")),
     frozenset(("constant_force", "sensor_offset")),
@@ -174,14 +177,17 @@ def _behind_the_noise(bench: Bench, stage: Stage, screening: Screening) -> Scree
 
 
 def _refuted(bench: Bench, growth: Growth, ranked: list[Attempt], searched: tuple[AbstractEffect, ...]) -> bool:
-    """Whether the gate was wrong: it sees effects to first order, and of those refitted none counts.
+    """Whether the gate was wrong: it sees effects to first order, and none of those refitted holds.
 
-    It must have opened barely, or stay shut under the noise that the best refit leaves: where it took noise at the
-    forces for white, every effect seemed to explain some of it.
+    It must have opened to next to nothing, or barely, or stay shut under the noise that the best refit leaves: where it
+    took noise at the forces for white, every effect seemed to explain some of it.
     """
+    best = growth.screening.scores[0]
+    if 1 - np.exp(-best.ratio / growth.screening.rows) < SLIGHT:
+        return True
     if not ranked or any(attempt.delta_bic >= ACCEPTED for attempt in ranked):
         return False
-    if growth.screening.scores[0].delta_bic < 2 * growth.screening.threshold:
+    if best.delta_bic < 2 * growth.screening.threshold:
         return True
     chain = ranked[0].chain
     again = look(growth.stage, bench.data[0], searched, bench.names, chain=chain, rng=bench.rng)

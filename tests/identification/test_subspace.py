@@ -56,20 +56,22 @@ def test_input_matrix_from_the_record_and_slow_filters():
 
 def test_paper_map_is_the_limit_of_the_exact_one():
     errors = []
-    for h in (0.01, 0.001):
+    for h in (0.01, 0.003):
         rng = np.random.default_rng(0)
         truth = data.random_system(rng, 2)
-        u = data.random_steps(rng, 6000, 2, h, (0.2, 1.0))
+        u = data.random_steps(rng, 3000, 2, h, (0.2, 1.0))
         record = Record(u, data.simulate(*truth, u, h), h)
-        found = identify(record, refine=False, map="paper", time_constants=0.05, block_rows=4)
-        errors.append(data.relative_errors((found.mass, found.damping, found.stiffness), truth).max())
-    assert errors[1] < 0.3 * errors[0]
+        # As many choices as above: most of what is compiled then serves here.
+        table = sweep(record, [0.05, 0.06, 0.07], [4, 8], map="paper")
+        found = (table.mass[0, 0], table.damping[0, 0], table.stiffness[0, 0])
+        errors.append(data.relative_errors(found, truth).max())
+    assert errors[1] < 0.5 * errors[0]
     assert errors[0] > 1e-3
 
 
 def test_multiplication_by_lambda_is_bidiagonal():
-    a, size = jnp.asarray(0.8), 6
-    A, b = cascade(a, size)
+    a, size = 0.8, 6
+    A, b = (np.asarray(X) for X in jax.jit(cascade, static_argnums=1)(a, size))
     x = np.random.default_rng(0).standard_normal(200)
     family = np.zeros((200, size + 1))
     family[:, 0] = x
@@ -78,13 +80,13 @@ def test_multiplication_by_lambda_is_bidiagonal():
     filtered = np.zeros_like(family)
     for k in range(199):
         filtered[k + 1] = a * filtered[k] + (1 - a) * family[k]
-    np.testing.assert_allclose(filtered[:, :size], family @ lambda_shift(a, size).T, atol=1e-13)
+    shift = np.asarray(jax.jit(lambda_shift, static_argnums=1)(a, size))
+    np.testing.assert_allclose(filtered[:, :size], family @ shift.T, atol=1e-13)
 
 
 def test_past_rows_span_the_powers():
-    a = jnp.asarray(0.9)
-    powers = np.asarray(lambda_powers(a, 12))[4:8]
-    rows = np.asarray(past_rows(a, 4, 4, 6, 12))
+    powers = np.asarray(jax.jit(lambda_powers, static_argnums=1)(0.9, 12))[4:8]
+    rows = np.asarray(jax.jit(past_rows, static_argnums=(1, 2, 3, 4))(0.9, 4, 4, 6, 12))
     np.testing.assert_allclose(rows @ rows.T, np.diag([1, 1, 1, 1, 0, 0]), atol=1e-12)
     np.testing.assert_allclose(powers @ rows.T @ rows, powers, atol=1e-12)
 
@@ -135,9 +137,9 @@ def test_gradient_at_repeated_eigenvalues():
         M, D, K = from_inverse_mass(moved, fit, jnp.eye(2), ProjectedGradientSolver())
         return sum(jnp.sum(w * X) for w, X in zip(weights, (M * 0.05**2, D, K)))
 
-    zero = jnp.zeros((2, 2))
     step = 1e-4
-    numerical = (value(step * direction) - value(-step * direction)) / (2 * step)
-    gradient = jax.grad(value)(zero)
+    both = jax.jit(jax.value_and_grad(value))
+    numerical = (both(step * direction)[0] - both(-step * direction)[0]) / (2 * step)
+    gradient = both(jnp.zeros((2, 2)))[1]
     assert np.all(np.isfinite(gradient))
     assert np.isclose(np.sum(gradient * direction), numerical, rtol=1e-5)
