@@ -15,7 +15,7 @@ import numpy as np
 
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import RESULTS, ComputationError
-from ..numerics.runtime import ready
+from ..numerics.runtime import give_back, ready
 from ..records import Record
 from ..records.chunks import CHUNK_SAMPLES, read_chunks
 from .compression import RANK_TOLERANCE, combine, factor_of_gram
@@ -83,6 +83,7 @@ class CompressedRecord:
             moments = _add(moments, self.poles, np.pad(part, ((0, size - len(part)), (0, 0))), kept)
             # Otherwise chunks that wait for their turn would pile up in memory.
             jax.block_until_ready(moments)
+        give_back()
         return moments
 
     def _sizes(self) -> np.ndarray:

@@ -1,6 +1,7 @@
 """What must hold before anything is computed: 64-bit floats, and a collector of cycles that does not disturb."""
 
 import contextlib
+import ctypes
 import gc
 import threading
 
@@ -45,6 +46,17 @@ def relieve() -> None:
     if areas > CROWDED * most:
         jax.clear_caches()
         gc.collect()
+
+
+def give_back() -> None:
+    """Hand memory that was freed back to the system; nothing but the C library of GNU keeps it.
+
+    Buffers that come and go by the chunk would leave holes between them, and the process grow with the record.
+    """
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (OSError, AttributeError, TypeError):
+        return
 
 
 @contextlib.contextmanager
