@@ -31,7 +31,7 @@ from .competitor import FlexibleForce
 from .experiment import next_experiment
 from .gain import gain_of
 from .growth import Growth, grow, recount, residual_rms
-from .judgement import FreeRun, overall, settled_residual
+from .judgement import FreeRun, overall
 from .other_start import from_other_modes
 from .problem import Data
 from .ranking import gate_of, rejected_of
@@ -149,8 +149,7 @@ def _of_clean_records(
         from_other_modes(bench, growth, identification, records)
     progress.stage("summing up")
     chain = growth.screening.chain
-    left = settled_residual(growth.stage.e, growth.stage.J, bench.data[0], chain)
-    noise = noise_findings(records[0], left, chain.ratio, chain.worth)
+    noise = noise_findings(records[0], growth.stage.e, chain.ratio, chain.worth)
     return _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
 
 

@@ -41,19 +41,6 @@ def evidence(
     return float(e @ e - g @ pseudo_inverse(J.T @ J) @ g), int(counted(data.kept).sum())
 
 
-def settled_residual(
-    e: Float[np.ndarray, "samples outputs"],
-    J: Float[np.ndarray, "samples outputs parameters"],
-    data: Data,
-    chain: Chain,
-) -> Float[np.ndarray, "samples outputs"]:
-    """A residual at the best parameters under a chain, to first order: a fit under white noise bends to the colour of
-    the noise, and what it adds so follows the inputs."""
-    white = weighted(chain, np.concatenate([J, e[:, :, None]], axis=2), data.kept)
-    J_white, e_white = white[:, :-1], white[:, -1]
-    return np.where(data.kept, e - J @ (pseudo_inverse(J_white.T @ J_white) @ (J_white.T @ e_white)), 0.0)
-
-
 @dataclass(frozen=True)
 class FreeRun:
     """A candidate's free run on a record: `simulated`, residual `e`, `kept` samples (without the head and padding)."""

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from ..mechanics.drives import ORDER
 from ..mechanics.statespace import hold_matrices
 from ..numerics.lifting import free_response, respond
+from ..numerics.linear_algebra import triangular_factor
 from .projection import Data
 from .realization import Realization
 
@@ -78,7 +79,7 @@ def fit_to_record(
     offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
     table = jnp.concatenate([free, offsets, responses, y[:, :, None]], axis=2) * kept[:, :, None]
     nuisance = free.shape[2] + outputs
-    R = jnp.linalg.qr(table.reshape(samples * outputs, -1), mode="r")[nuisance:, nuisance:]
+    R = triangular_factor(table.reshape(samples * outputs, -1))[nuisance:, nuisance:]
     return InputFit(R[:, :-1], R[:, -1])
 
 
@@ -138,5 +139,5 @@ def fit_to_factor(drives: tuple[Array, Array, Array, Array], data: Data) -> Inpu
         return X - jnp.tensordot(Q, Q.T @ X.reshape(X.shape[0], -1), 1).reshape(X.shape)
 
     table = jnp.concatenate([off(forced), off(Yf[:rows].T)[:, :, None]], axis=2)
-    R = jnp.linalg.qr(table.reshape(-1, table.shape[2]), mode="r")
+    R = triangular_factor(table.reshape(-1, table.shape[2]))
     return InputFit(R[:, :-1], R[:, -1])

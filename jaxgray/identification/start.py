@@ -31,6 +31,9 @@ THOROUGH_CELLS = 14
 """The same where the start is the end: cells that simulate alike differ in M, D, K, and the record says which to take
 only once B₂ is fitted to it."""
 
+SMALL = 9
+"""Entries of B₂ up to which that fit costs next to nothing."""
+
 POOR = 0.3
 """Share of an output's power left by a start above which others are tried too."""
 
@@ -179,7 +182,8 @@ def subspace_starts(
     order = np.argsort(-table, axis=None)[: int(np.isfinite(table).sum())]
     failure = None
     starts: list[Start] = []
-    for flat in order[: THOROUGH_CELLS if options.thorough else MOST_CELLS]:
+    small = len(setting.measured) * longest.u.shape[1] <= SMALL
+    for flat in order[: THOROUGH_CELLS if options.thorough and small else MOST_CELLS]:
         index = np.unravel_index(flat, table.shape)
         chosen = jax.tree_util.tree_map(lambda leaf, index=index: np.asarray(leaf[index]), found)
         best = None

@@ -1,8 +1,6 @@
 """Time constant τ × block rows i: every choice from one factor per τ, scored by free-run simulation."""
 
-import concurrent.futures
 import functools
-import os
 
 import equinox as eqx
 import jax
@@ -145,16 +143,14 @@ def candidates(
 ) -> Candidate:
     """`candidate` over the grid τ × i, on the host; the leading axes of the result are the grid's.
 
-    One compiled function serves every τ. The loop over τ stays on the host, one thread per core: inside a traced
-    loop the CPU backend gains nothing from it and can run out of threads (see `numerics.backend`).
+    One compiled function serves every τ. The loop over τ stays on the host, one after the other: a traced loop gains
+    nothing, and two programs with batches of small decompositions at once can wait for each other's threads without end
+    (see `numerics.backend`).
     """
-
-    def one(k):
-        return jax.device_get(_over_block_rows(factor_grid, poles, k, block_rows, signals, **static))
-
-    first = [one(0)]  # Compiled once, not by every thread.
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as threads:
-        found = first + list(threads.map(one, range(1, len(poles))))
+    found = [
+        jax.device_get(_over_block_rows(factor_grid, poles, k, block_rows, signals, **static))
+        for k in range(len(poles))
+    ]
     return jax.tree_util.tree_map(lambda *parts: np.stack(parts), *found)
 
 

@@ -27,7 +27,7 @@ class Fit:
     rmse: Float[np.ndarray, " outputs"]
 
 
-FEEDBACK = 1e-6
+FEEDBACK = 1e-3
 """Probability at which a correlation with future inputs is said: most records are open loop, and a fit that bends to
 the colour of the noise leaves a little of the kind."""
 

@@ -212,6 +212,24 @@ def _inverse_root_jvp(truncation, primals, tangents):
     return (vectors * roots) @ vectors.T, vectors @ (slope * rotated) @ vectors.T
 
 
+BLOCK = 16
+"""Rows of a block over its columns: few enough for a block to stay in the cache."""
+
+
+def triangular_factor(X: Float[Array, "rows columns"]) -> Float[Array, "columns columns"]:
+    """R of the QR decomposition of a tall matrix, up to signs of its rows, from those of blocks that fit the cache.
+
+    **Reference:** Demmel, Grigori, Hoemmen & Langou, SIAM J. Sci. Comput. 34 (2012) A206-A239 (TSQR).
+    """
+    rows, columns = X.shape
+    size = BLOCK * columns
+    count = -(-rows // size)
+    if count > 1:
+        padded = jnp.pad(X, ((0, count * size - rows), (0, 0))).reshape(count, size, columns)
+        X = jnp.linalg.qr(padded, mode="r").reshape(-1, columns)
+    return jnp.linalg.qr(X, mode="r")
+
+
 def least_squares(X: Float[Array, "rows columns"], Y: Float[Array, "rows targets"]) -> Float[Array, "columns targets"]:
     """Solution of min ‖X Z − Y‖ for full column rank, by QR with scaled columns."""
     scale = jnp.linalg.norm(X, axis=0)
