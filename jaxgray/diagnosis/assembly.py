@@ -11,7 +11,8 @@ from ..records import Record
 from .bench import Bench
 from .competitor import FlexibleForce
 from .extension import Layout, Refit
-from .growth import Accepted, Growth, residual_rms
+from .grown import Accepted, Growth
+from .growth import residual_rms
 from .judgement import FreeRun
 from .problem import Candidate, Setup
 from .result import (

@@ -30,7 +30,8 @@ from .bench import Bench
 from .competitor import FlexibleForce
 from .experiment import next_experiment
 from .gain import gain_of
-from .growth import Growth, grow, recount, residual_rms
+from .grown import Growth
+from .growth import grow, recount, residual_rms
 from .judgement import FreeRun, overall
 from .other_start import from_other_modes
 from .problem import Data

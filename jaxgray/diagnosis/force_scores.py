@@ -9,7 +9,7 @@ from ..identification.conic import pseudo_inverse
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect, Place, Term, places_of
 from .features import Shape
 from .force_fit import Equation, ForceFit, Weight
-from .growth import TIME_LOCAL
+from .grown import TIME_LOCAL
 from .problem import estimated
 from .screening import GATE, Score, allowed
 

@@ -1,35 +1,34 @@
 """The loop: look, name, refit, accept or reject, look again."""
 
 import dataclasses
-from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.special
 
 from ..mechanics.effects.base import AbstractEffect
 from ..numerics.runtime import relieve
-from .bench import Bench, chain_of
+from .bench import Bench
 from .competitor import FlexibleForce
-from .extension import Layout, Refit, refit, with_states
+from .extension import Layout
 from .gain import gain_of
+from .grown import TIME_LOCAL, Accepted, Growth, held_out_run, stage_of_candidate
 from .judgement import (
     ACCEPTED,
     ALIKE,
     SIGNIFICANT,
     FreeRun,
     at_bound,
-    evidence,
-    free_run,
     overall,
     significance,
 )
 from .problem import Candidate, Data
-from .refitting import STANDING_ALIKE, Attempt, attempts_of, compared, moving
+from .pruning import prune
+from .refitting import STANDING_ALIKE, Attempt, attempts_of, compared
 from .residual import white_chain
-from .result import Gain, Rejected
+from .result import Rejected
 from .screening import Screening
 from .shortlist import shortlist
-from .stage import Stage, look, look_closer, stage_of
+from .stage import Stage, look, look_closer
 
 EXPLAINED = 0.1
 """Least share of the excess that a finding must explain."""
@@ -49,53 +48,6 @@ STANDING = (
 
 BEHIND = 50.0
 """ΔBIC by measured motion from which an effect may hide behind noise at the forces."""
-
-TIME_LOCAL = frozenset(
-    (
-        "stiffness_step",
-        "mass_step",
-        "stiffness_drift",
-        "force_step",
-        "sensor_drift",
-        "periodic_disturbance",
-        "clock_scale",
-        "dropped_samples",
-    )
-)
-"""Effects tied to the clock of one record: another record, or another part, may not show them."""
-
-
-@dataclass(frozen=True)
-class Accepted:
-    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs."""
-
-    attempt: Attempt
-    rivals: tuple[Attempt, ...]
-    gain: Gain
-    runs: list[FreeRun]
-
-    @property
-    def stage(self) -> str:
-        """Whether it says what the "model" lacks or what is wrong with the "record"."""
-        return self.attempt.fit.candidate.terms[-1].effect.stage
-
-
-@dataclass
-class Growth:
-    """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
-    tried, and the last look."""
-
-    start: Stage
-    stage: Stage
-    fit: Refit | None = None
-    accepted: list[Accepted] = field(default_factory=list)
-    rejected: list[Rejected] = field(default_factory=list)
-    tried: dict[tuple[str, str], Refit] = field(default_factory=dict)
-    screening: Screening | None = None
-    first: Screening | None = None
-    unexplained: bool = False
-    baseline_runs: list[FreeRun] = field(default_factory=list)
-    runs: list[FreeRun] = field(default_factory=list)
 
 
 def grow(
@@ -144,15 +96,8 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
         if not _accepted(bench, growth, ranked):
             growth.unexplained = screening.fires and not _refuted(bench, growth, ranked, searched)
             return
-        _backward(bench, growth)
+        prune(bench, growth)
         growth.unexplained = False
-
-
-def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
-    stage = stage_of(bench.simulator, candidate, bench.data[0])
-    entries = len(candidate.entries)
-    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - entries, bool)])
-    return dataclasses.replace(stage, J=stage.J[:, :, kept])
 
 
 def _strong(screening: Screening) -> bool:
@@ -320,40 +265,6 @@ def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
     if not gain.ci99_lower > 0:
         return f"no sure gain on held-out data ({gain.percent:.1f} %, from {gain.ci99_lower:.1f} %)", gain, None
     return None, gain, runs
-
-
-def held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
-    """Free run on held-out data, without what belongs to the clock of the estimation record."""
-    absent = ("periodic_disturbance",) if bench.separate else TIME_LOCAL
-    terms = tuple(t for t in candidate.terms if t.effect.id not in absent)
-    return free_run(bench.simulator, candidate.with_terms(terms), data)
-
-
-def _backward(bench: Bench, growth: Growth) -> None:
-    """Drop accepted terms that the newer ones have made needless."""
-    if len(growth.accepted) < 2:
-        return
-    layout = Layout(bench.simulator.setup, growth.fit.candidate)
-    for k in range(len(growth.accepted) - 1):
-        if significance(growth.fit, layout, k) >= SIGNIFICANT:
-            continue
-        terms = tuple(t for j, t in enumerate(growth.fit.candidate.terms) if j != k)
-        chain = chain_of(bench, growth.fit)
-        fit = refit(bench.simulator, growth.fit.candidate.with_terms(terms), bench.data, chain, held=bench.held)
-        if fit is None:
-            continue
-        gone = growth.accepted[k].attempt
-        with_it, rows = evidence(*moving(bench, growth.fit), bench.data[0], chain)
-        without_it, _ = evidence(*moving(bench, fit), bench.data[0], chain)
-        change = rows * np.log(without_it / with_it) - gone.score.shape.free * np.log(rows)
-        if change < ACCEPTED:
-            growth.accepted.pop(k)
-            growth.rejected.append(Rejected(*gone.name, float(change), "needless once the others are in the model"))
-            fit = with_states(bench.simulator, fit, bench.data)
-            growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
-            growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
-            growth.accepted[-1] = dataclasses.replace(growth.accepted[-1], runs=growth.runs)
-            return
 
 
 def recount(bench: Bench, growth: Growth, floor: np.ndarray) -> None:

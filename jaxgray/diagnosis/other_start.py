@@ -18,7 +18,8 @@ from ..records import Record
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .gain import gain_of
-from .growth import Growth, held_out_run, residual_rms, stage_of_candidate
+from .grown import Growth, held_out_run, stage_of_candidate
+from .growth import residual_rms
 from .judgement import FreeRun
 from .problem import Candidate
 from .residual import white_chain

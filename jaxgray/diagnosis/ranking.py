@@ -6,7 +6,7 @@ from ..records import Record
 from .assembly import estimates_of, term_errors
 from .bench import Bench
 from .competitor import FlexibleForce
-from .growth import Growth
+from .grown import Growth
 from .result import Gated, Rejected
 
 MOST = 40

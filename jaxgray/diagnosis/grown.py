@@ -1,0 +1,76 @@
+"""How far the loop of a diagnosis got, and its model run on data."""
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .bench import Bench
+from .extension import Refit
+from .judgement import FreeRun, free_run
+from .problem import Candidate, Data
+from .refitting import Attempt
+from .result import Gain, Rejected
+from .screening import Screening
+from .stage import Stage, stage_of
+
+TIME_LOCAL = frozenset(
+    (
+        "stiffness_step",
+        "mass_step",
+        "stiffness_drift",
+        "force_step",
+        "sensor_drift",
+        "periodic_disturbance",
+        "clock_scale",
+        "dropped_samples",
+    )
+)
+"""Effects tied to the clock of one record: another record, or another part, may not show them."""
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs."""
+
+    attempt: Attempt
+    rivals: tuple[Attempt, ...]
+    gain: Gain
+    runs: list[FreeRun]
+
+    @property
+    def stage(self) -> str:
+        """Whether it says what the "model" lacks or what is wrong with the "record"."""
+        return self.attempt.fit.candidate.terms[-1].effect.stage
+
+
+@dataclass
+class Growth:
+    """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
+    tried, and the last look."""
+
+    start: Stage
+    stage: Stage
+    fit: Refit | None = None
+    accepted: list[Accepted] = field(default_factory=list)
+    rejected: list[Rejected] = field(default_factory=list)
+    tried: dict[tuple[str, str], Refit] = field(default_factory=dict)
+    screening: Screening | None = None
+    first: Screening | None = None
+    unexplained: bool = False
+    baseline_runs: list[FreeRun] = field(default_factory=list)
+    runs: list[FreeRun] = field(default_factory=list)
+
+
+def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
+    stage = stage_of(bench.simulator, candidate, bench.data[0])
+    entries = len(candidate.entries)
+    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - entries, bool)])
+    return dataclasses.replace(stage, J=stage.J[:, :, kept])
+
+
+def held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
+    """Free run on held-out data, without what belongs to the clock of the estimation record."""
+    absent = ("periodic_disturbance",) if bench.separate else TIME_LOCAL
+    terms = tuple(t for t in candidate.terms if t.effect.id not in absent)
+    return free_run(bench.simulator, candidate.with_terms(terms), data)

@@ -1,0 +1,113 @@
+"""What newer findings make of the older: terms that are needless now, and laws that a simpler one can stand for."""
+
+import dataclasses
+
+import numpy as np
+
+from ..mechanics.effects.base import Term
+from .bench import Bench, chain_of
+from .extension import Layout, Refit, refit, with_states
+from .grown import Accepted, Growth, held_out_run, stage_of_candidate
+from .judgement import ACCEPTED, SIGNIFICANT, evidence, significance
+from .problem import Candidate
+from .refitting import moving
+from .residual import Chain
+from .result import Rejected
+
+LITTLE = 3.0
+"""Standard errors from nothing up to which a parameter beyond those of a simpler law is doubted."""
+
+
+def prune(bench: Bench, growth: Growth) -> None:
+    """Drop a term that the newer ones have made needless; else put simpler laws in the place of older ones."""
+    if len(growth.accepted) > 1 and not _dropped(bench, growth):
+        _simplify(bench, growth)
+
+
+def _dropped(bench: Bench, growth: Growth) -> bool:
+    """Drop one accepted term that explains nothing any more; whether there was one."""
+    layout = Layout(bench.simulator.setup, growth.fit.candidate)
+    for k in range(len(growth.accepted) - 1):
+        if significance(growth.fit, layout, k) >= SIGNIFICANT:
+            continue
+        terms = tuple(t for j, t in enumerate(growth.fit.candidate.terms) if j != k)
+        found = _instead(bench, growth, growth.fit.candidate.with_terms(terms))
+        if found is None:
+            continue
+        gone = growth.accepted[k].attempt
+        fit, ratio, rows = found
+        change = ratio - gone.score.shape.free * np.log(rows)
+        if change < ACCEPTED:
+            growth.accepted.pop(k)
+            growth.rejected.append(Rejected(*gone.name, float(change), "needless once the others are in the model"))
+            _take(bench, growth, fit)
+            return True
+    return False
+
+
+def _simplify(bench: Bench, growth: Growth) -> None:
+    """A law whose further parameters only stood for what was found later gives way to the simpler one that it
+    contains."""
+    known = {effect.id: effect for effect in bench.catalogue}
+    for k, accepted in enumerate(growth.accepted[:-1]):
+        term = growth.fit.candidate.terms[k]
+        for simpler in (known[name] for name in term.effect.contains if name in known):
+            if not _doubtful(bench, growth, k, simpler):
+                continue
+            values = dict(zip((p.name for p in term.effect.parameters), np.array(term.values, dtype=float)))
+            plain = Term(simpler, term.place, np.array([values.get(p.name, 0.0) for p in simpler.parameters]))
+            if not {p.name for p in simpler.parameters} <= set(values):
+                continue
+            terms = tuple(plain if j == k else t for j, t in enumerate(growth.fit.candidate.terms))
+            found = _instead(bench, growth, growth.fit.candidate.with_terms(terms))
+            if found is None:
+                continue
+            fit, ratio, rows = found
+            shape = dataclasses.replace(accepted.attempt.score.shape, effect=simpler)
+            if ratio >= max(accepted.attempt.score.shape.free - shape.free, 1) * np.log(rows):
+                continue
+            why = f"the same as {simpler.id} with a parameter that explains nothing beside what was found later"
+            growth.rejected.append(Rejected(*accepted.attempt.name, float(ratio), why))
+            score = dataclasses.replace(accepted.attempt.score, shape=shape)
+            attempt = dataclasses.replace(accepted.attempt, score=score)
+            # Rivals that contain it, too, are it with something that explains nothing.
+            rivals = tuple(
+                r for r in accepted.rivals if r.name != attempt.name and simpler.id not in r.score.shape.effect.contains
+            )
+            growth.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals)
+            _take(bench, growth, fit)
+            break
+
+
+def _doubtful(bench: Bench, growth: Growth, k: int, simpler) -> bool:
+    """Whether what a law has beyond a simpler one is near nothing by now."""
+    layout = Layout(bench.simulator.setup, growth.fit.candidate)
+    errors = np.sqrt(np.maximum(np.diag(growth.fit.covariance), 0.0))
+    term, common = growth.fit.candidate.terms[k], {p.name for p in simpler.parameters}
+    further = [
+        abs(float(term.values[j])) <= LITTLE * errors[layout.first + at]
+        for at, (owner, j) in enumerate(layout.terms)
+        if owner == k and term.effect.parameters[j].name not in common
+    ]
+    return any(further)
+
+
+def _instead(bench: Bench, growth: Growth, candidate: Candidate) -> tuple[Refit, float, int] | None:
+    """A candidate with less in it, refitted, and by how much the likelihood ratio speaks for the present model, over
+    so many samples; None where it cannot be simulated."""
+    chain: Chain = chain_of(bench, growth.fit)
+    fit = refit(bench.simulator, candidate, bench.data, chain, held=bench.held)
+    if fit is None:
+        return None
+    with_it, rows = evidence(*moving(bench, growth.fit), bench.data[0], chain)
+    without_it, _ = evidence(*moving(bench, fit), bench.data[0], chain)
+    return fit, float(rows * np.log(without_it / with_it)), rows
+
+
+def _take(bench: Bench, growth: Growth, fit: Refit) -> None:
+    """Go on from another refit."""
+    fit = with_states(bench.simulator, fit, bench.data)
+    growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
+    growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
+    last: Accepted = growth.accepted[-1]
+    growth.accepted[-1] = dataclasses.replace(last, runs=growth.runs)
