@@ -24,18 +24,29 @@ def softened(term: Term, scales: Scales) -> list[Term]:
     return result
 
 
-def dated(bench: Bench, candidate: Candidate, chain: Chain, span: float) -> Candidate:
-    """A candidate with the jump of its last term at the moment, up to `span` [s] away, that leaves the least under a
-    chain. While nothing moves, no gradient leads there.
+def width_of(term: Term) -> float:
+    """Over how long [s] the jump of a term is smeared, 0 where there is none."""
+    names = [p.name for p in term.effect.parameters]
+    return float(term.values[names.index("width")]) if "width" in names else 0.0
 
-    Only jumps of the outputs, whose free run costs next to nothing.
+
+def dated(bench: Bench, candidate: Candidate, chain: Chain, span: float) -> Candidate:
+    """A candidate with the jump of its last term at the moment that leaves the least of the first record.
+
+    While nothing moves, no gradient leads there. Only jumps of the outputs, whose free run costs next to nothing; other
+    candidates come back as they are.
+
+    **Arguments:** `bench`; `candidate`; `chain` by which the residual is whitened; `span` [s]: how far from where it is
+    the moment is looked for, in steps of half of the term's width or a sample.
+
+    **Returns:** a `Candidate`; nothing but the moment differs.
     """
     term = candidate.terms[-1]
     names = [p.name for p in term.effect.parameters]
     if not isinstance(term.effect, AbstractOutputEffect) or not {"t0", "width"} <= set(names):
         return candidate
     data, at = bench.data[0], names.index("t0")
-    step = max(float(term.values[names.index("width")]) / 2, data.sampling_time)
+    step = max(width_of(term) / 2, data.sampling_time)
     count = int(span / step)
     end = data.samples * data.sampling_time
     times = np.clip(float(term.values[at]) + step * np.arange(-count, count + 1), 0.0, end)

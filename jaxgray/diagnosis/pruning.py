@@ -7,11 +7,10 @@ import numpy as np
 from ..mechanics.effects.base import Term
 from .bench import Bench, chain_of
 from .extension import Layout, Refit, refit, with_states
-from .grown import Accepted, Growth, held_out_run, stage_of_candidate
+from .grown import Growth, held_out_run, stage_of_candidate
 from .judgement import ACCEPTED, SIGNIFICANT, evidence, significance
 from .problem import Candidate
 from .refitting import moving
-from .residual import Chain
 from .result import Rejected
 
 LITTLE = 3.0
@@ -52,12 +51,11 @@ def _simplify(bench: Bench, growth: Growth) -> None:
     for k, accepted in enumerate(growth.accepted[:-1]):
         term = growth.fit.candidate.terms[k]
         for simpler in (known[name] for name in term.effect.contains if name in known):
-            if not _doubtful(bench, growth, k, simpler):
-                continue
             values = dict(zip((p.name for p in term.effect.parameters), np.array(term.values, dtype=float)))
-            plain = Term(simpler, term.place, np.array([values.get(p.name, 0.0) for p in simpler.parameters]))
-            if not {p.name for p in simpler.parameters} <= set(values):
+            named = all(p.name in values for p in simpler.parameters)
+            if not named or not _doubtful(bench, growth, k, simpler):
                 continue
+            plain = Term(simpler, term.place, np.array([values[p.name] for p in simpler.parameters]))
             terms = tuple(plain if j == k else t for j, t in enumerate(growth.fit.candidate.terms))
             found = _instead(bench, growth, growth.fit.candidate.with_terms(terms))
             if found is None:
@@ -95,7 +93,7 @@ def _doubtful(bench: Bench, growth: Growth, k: int, simpler) -> bool:
 def _instead(bench: Bench, growth: Growth, candidate: Candidate) -> tuple[Refit, float, int] | None:
     """A candidate with less in it, refitted, and by how much the likelihood ratio speaks for the present model, over
     so many samples; None where it cannot be simulated."""
-    chain: Chain = chain_of(bench, growth.fit)
+    chain = chain_of(bench, growth.fit)
     fit = refit(bench.simulator, candidate, bench.data, chain, held=bench.held)
     if fit is None:
         return None
@@ -109,5 +107,4 @@ def _take(bench: Bench, growth: Growth, fit: Refit) -> None:
     fit = with_states(bench.simulator, fit, bench.data)
     growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
     growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
-    last: Accepted = growth.accepted[-1]
-    growth.accepted[-1] = dataclasses.replace(last, runs=growth.runs)
+    growth.accepted[-1] = dataclasses.replace(growth.accepted[-1], runs=growth.runs)

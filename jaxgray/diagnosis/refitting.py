@@ -13,7 +13,7 @@ from .competitor import FlexibleForce
 from .equations import weighted
 from .extension import Refit, refit
 from .judgement import at_bound, evidence, free_run, overall
-from .moments import dated, softened
+from .moments import dated, softened, width_of
 from .pursuit import ROUGH, at_the_same_steps, pursued, sharpened
 from .residual import Chain
 from .result import Rejected
@@ -204,7 +204,7 @@ def _penalty(bench: Bench, score: Score) -> float:
 
 def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: float) -> Refit | None:
     """Refit the model with one more term under a given chain; given up early where it is far behind the best."""
-    fit, smeared = None, 0.0
+    fit = None
     nothing = float(np.sum(weighted(chain, stage.e[:, :, None], bench.data[0].kept) ** 2))
     with np.errstate(over="ignore"):
         abandon = np.exp((best + 2 * HOPELESS - _penalty(bench, score)) / rows_of(bench.data[0]))
@@ -221,8 +221,7 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
         terms = (*stage.candidate.terms, term) if fit is None else (*fit.candidate.terms[:-1], term)
         begin = begin.with_terms(terms)
         if fit is not None:
-            begin = dated(bench, begin, chain, smeared)
-        smeared = _width(term)
+            begin = dated(bench, begin, chain, width_of(fit.candidate.terms[-1]))
         options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
         begun = refit(bench.simulator, begin, bench.data, chain, **options)
         if fit is None and (begun is None or begun.started > nothing):
@@ -239,12 +238,6 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
         if fit is None:
             return None
     return fit
-
-
-def _width(term: Term) -> float:
-    """Over how long [s] a jump is smeared, 0 where there is none."""
-    names = [p.name for p in term.effect.parameters]
-    return float(term.values[names.index("width")]) if "width" in names else 0.0
 
 
 def _amplitudes(term: Term) -> np.ndarray:

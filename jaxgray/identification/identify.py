@@ -1,7 +1,5 @@
 """From records to a physical model: the pipeline, nothing else."""
 
-import dataclasses
-
 import jax
 import numpy as np
 
@@ -118,8 +116,9 @@ def identify(
     complete = filled(records, scaling, None) if any(r.has_missing for r in records) else signals
     check_reach(complete, records[0].input_names, records[0].output_names)
 
-    options = _start_options(records, time_constants, block_rows, weight, map, input_matrix_from, known["mass"])
-    options = dataclasses.replace(options, thorough=not refine)
+    options = _start_options(
+        records, time_constants, block_rows, weight, map, input_matrix_from, known["mass"], thorough=not refine
+    )
     starts = starts_of(complete, setting, scaling.sampling_time, options, progress)
     if complete is not signals:
         runs = [model_run(starts[0].matrices, setting, s)[0] for s in complete]
@@ -226,7 +225,9 @@ def _grid(values, default, name: str) -> np.ndarray:
     return grid
 
 
-def _start_options(records, time_constants, block_rows, weight, map, input_matrix_from, mass) -> StartOptions:
+def _start_options(
+    records, time_constants, block_rows, weight, map, input_matrix_from, mass, *, thorough
+) -> StartOptions:
     """What the start is looked for with, checked against the records."""
     longest = max(records, key=lambda r: r.samples)
     taus = _grid(time_constants, default_time_constants(longest), "time_constants")
@@ -242,7 +243,7 @@ def _start_options(records, time_constants, block_rows, weight, map, input_matri
             detail=f"{longest.samples} samples for {max(rows)} block rows, which need more than {columns}",
         )
     known_mass = mass if np.all(np.isfinite(mass)) else None
-    return StartOptions(taus, rows, weight, map, input_matrix_from, known_mass)
+    return StartOptions(taus, rows, weight, map, input_matrix_from, known_mass, thorough)
 
 
 def _best_refined(starts: list[Start], refined, setting: Setting, signals: list[Signals], progress: AbstractProgress):

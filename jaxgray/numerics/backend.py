@@ -31,7 +31,8 @@ def widen() -> None:
     """Ask for a pool of so many threads where there are fewer cores, and the user has not set its size.
 
     With two threads or fewer, the backend (seen with jaxlib 0.9.2 and 0.10.1) can wait for ever on a loop whose body
-    holds batched linear algebra: every thread waits for work that none is left to do.
+    holds batched linear algebra: every thread waits for work that none is left to do. Two such programs at once, from
+    threads of Python, did so with four as well, at six coordinates: they run one after the other.
     """
     if cores() < LEAST_THREADS:
         os.environ.setdefault("NPROC", str(LEAST_THREADS))

@@ -76,6 +76,19 @@ def test_what_the_raw_record_shows(effect_id):
     assert diagnosis.verdict == "noise", str(diagnosis)
 
 
+def test_samples_lost_without_a_gap_are_counted_and_dated():
+    rng, form = generator("jump"), None
+    while form != "jump":
+        case = hidden.raw_case(rng, "dropped_samples", dofs=(2,), samples=SAMPLES)
+        form = case.effects[0].parameters["form"]
+    diagnosis = diagnosed(case)
+    (finding,) = [f for f in diagnosis.findings if f.effect == "dropped_samples"]
+    assert diagnosis.verdict == "noise", str(diagnosis)
+    truth, found = case.effects[0].parameters, finding.parameters
+    assert abs(found["count"].value - truth["count"]) < max(5 * found["count"].standard_error, 0.01), str(diagnosis)
+    assert abs(found["t0"].value / case.sampling_time - truth["at"]) < 1.5, str(diagnosis)
+
+
 def test_a_closed_loop_is_announced():
     diagnosis = diagnosed(hidden.closed_loop_case(generator("loop"), dofs=(2,), samples=SAMPLES))
     assert "closed_loop" in record_findings(diagnosis)

@@ -17,6 +17,7 @@ from jaxgray.numerics.linear_algebra import (
     orthonormal_basis,
     project_positive,
     symmetric_vector,
+    triangular_factor,
 )
 from jaxgray.numerics.matrix_exponential import matrix_exponential
 from jaxgray.numerics.matrix_logarithm import matrix_logarithm
@@ -40,6 +41,14 @@ def test_blocked_response_equals_sample_by_sample(samples):
     free = free_response(A, jnp.asarray(C), samples) @ x0
     zero = respond(A, B, C, D, 0 * u, x0)
     np.testing.assert_allclose(free, zero, atol=1e-11)
+
+
+@pytest.mark.parametrize("rows", [5, 48, 200])
+def test_triangular_factor_by_blocks_has_the_products_of_the_matrix(rows):
+    X = np.random.default_rng(0).standard_normal((rows, 3)) * [1.0, 1e-6, 1e3]
+    R = np.asarray(triangular_factor(jnp.asarray(X)))
+    assert R.shape == (3, 3) and np.all(np.tril(R, -1) == 0)
+    np.testing.assert_allclose(np.abs(R), np.abs(np.linalg.qr(X, mode="r")), rtol=1e-12)
 
 
 @pytest.mark.parametrize("norm", [1e-6, 0.1, 3.0, 200.0])

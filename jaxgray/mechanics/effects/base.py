@@ -117,7 +117,8 @@ class AbstractEffect(eqx.Module):
         """
 
     def looks(self, scales: Scales, grid: list[np.ndarray]) -> int:
-        """Among how many shapes those of `grid` were chosen: more than they are where the record itself chose them."""
+        """Among how many shapes those of `grid` (what `shapes` gave) were chosen, for the penalty of a search: more
+        than they are where the record itself chose them."""
         return len(grid)
 
     def basis(self, p: np.ndarray) -> list[np.ndarray]:
