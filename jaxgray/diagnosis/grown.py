@@ -47,7 +47,7 @@ class Accepted:
 @dataclass
 class Growth:
     """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
-    tried, and the last look."""
+    tried, the last look, and what is no longer looked for."""
 
     start: Stage
     stage: Stage
@@ -58,11 +58,13 @@ class Growth:
     screening: Screening | None = None
     first: Screening | None = None
     unexplained: bool = False
+    ruled_out: frozenset = frozenset()
     baseline_runs: list[FreeRun] = field(default_factory=list)
     runs: list[FreeRun] = field(default_factory=list)
 
 
 def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
+    """The model on the first record, without the columns of what is held."""
     stage = stage_of(bench.simulator, candidate, bench.data[0])
     entries = len(candidate.entries)
     kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - entries, bool)])

@@ -5,7 +5,9 @@ import dataclasses
 import numpy as np
 import scipy.special
 
+from ..identification.validation import residual_test
 from ..mechanics.effects.base import AbstractEffect
+from ..mechanics.effects.sensor import SensorCrosstalk
 from ..numerics.runtime import relieve
 from .bench import Bench
 from .competitor import FlexibleForce
@@ -74,7 +76,8 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
     """Rounds of looking and accepting, until nothing more is found or `most` effects were."""
     for turn in range(most + 1):
         relieve()
-        found = len(growth.accepted)
+        found, told_from = len(growth.accepted), growth.ruled_out
+        growth.stage = dataclasses.replace(growth.stage, ruled_out=growth.ruled_out)
         bench.progress.stage("looking for effects" if found == 0 else f"looking further ({found} found)")
         screening = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
         growth.screening = screening
@@ -94,6 +97,8 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
                 closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names)
         ranked = _refitted(bench, growth, screening, closer)
         if not _accepted(bench, growth, ranked):
+            if growth.ruled_out != told_from:
+                continue
             growth.unexplained = screening.fires and not _refuted(bench, growth, ranked, searched)
             return
         prune(bench, growth)
@@ -230,6 +235,8 @@ def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
     last = len(attempt.fit.candidate.terms) - 1
     if attempt.delta_bic < ACCEPTED:
         return f"the refit explains too little (ΔBIC {attempt.delta_bic:.0f})", None, None
+    if _fed_back(bench, growth, attempt):
+        return "the inputs follow what it leaves: a closed loop looks the same", None, None
     bound = at_bound(attempt.fit, last)
     if bound is not None:
         return f"{bound} ran to its physical bound", None, None
@@ -265,6 +272,21 @@ def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
     if not gain.ci99_lower > 0:
         return f"no sure gain on held-out data ({gain.percent:.1f} %, from {gain.ci99_lower:.1f} %)", gain, None
     return None, gain, runs
+
+
+def _fed_back(bench: Bench, growth: Growth, attempt: Attempt) -> bool:
+    """Whether crosstalk from an input stands for a closed loop that feeds the noise back to the inputs; such crosstalk
+    is then no longer looked for."""
+    inputs, outputs = bench.names
+    from_inputs = frozenset((SensorCrosstalk.id, f"{u}->{y}") for u in inputs for y in outputs)
+    if attempt.name not in from_inputs:
+        return False
+    data = bench.data[0]
+    e = np.where(data.kept, attempt.fit.residual[0], np.nan)[: data.samples]
+    if not residual_test(e, data.u[: data.samples]).followed:
+        return False
+    growth.ruled_out |= from_inputs
+    return True
 
 
 def recount(bench: Bench, growth: Growth, floor: np.ndarray) -> None:

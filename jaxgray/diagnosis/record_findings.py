@@ -48,6 +48,9 @@ def noise_findings(used: Record, e: np.ndarray, ratio: float = 0.0, worth: float
         values = {"ratio": Estimate(float(ratio), None, "")}
         found.append(Finding("process_noise", "record", "named", "record", (), values, None, None, message))
     if residual_test(np.where(np.isnan(used.y), np.nan, e[: used.samples]), used.u).feedback:
-        message = "The residual is correlated with future inputs: the record may come from a closed loop."
+        message = (
+            "The residual is correlated with future inputs: the record may come from a closed loop. Crosstalk from an "
+            "input looks the same and is not told from it."
+        )
         found.append(Finding("closed_loop", "record", "named", "record", (), {}, None, None, message))
     return tuple(found)

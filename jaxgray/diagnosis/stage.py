@@ -25,7 +25,7 @@ class Stage:
     """A model on the estimation record: residual, sensitivities and the means to look further.
 
     `candidate`; `e`, `J`; `plant`; `system`: sampled, outputs that are measured; `force`: mean square of each input;
-    `motion`: simulated.
+    `motion`: simulated; `ruled_out`: effects and places that are not looked for.
     """
 
     candidate: Candidate
@@ -35,6 +35,7 @@ class Stage:
     system: StateSpace
     force: Float[np.ndarray, " inputs"]
     motion: Motion
+    ruled_out: frozenset = frozenset()
 
     @property
     def taken(self) -> frozenset:
@@ -123,7 +124,7 @@ def look_closer(
 def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Features:
     inputs, outputs = names
     scales = scales_at(stage.plant, motion, data, inputs, outputs, lines_of(stage.e, data))
-    return features(stage.plant, motion, data, catalogue, scales, inputs, outputs, stage.taken)
+    return features(stage.plant, motion, data, catalogue, scales, inputs, outputs, stage.taken | stage.ruled_out)
 
 
 def measured_motion(stage: Stage, data: Data) -> Motion:

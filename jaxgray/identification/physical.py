@@ -61,14 +61,22 @@ def input_matrix(fit: InputFit) -> Float[Array, " entries"]:
 
 
 def from_inverse_mass(
-    realization: Realization, fit: InputFit, E: Float[Array, "dofs inputs"], solver: AbstractPositiveSolver
+    realization: Realization,
+    fit: InputFit,
+    E: Float[Array, "dofs inputs"],
+    solver: AbstractPositiveSolver,
+    *,
+    averaged: bool = False,
 ) -> tuple[Array, Array, Array]:
     """M, D, K in the paper's order: inverse mass from the input matrix, then stiffness and damping.
 
     M⁻¹ ⪰ εI from B₂ = M⁻¹E;  K = argmin ‖M⁻¹K + A21‖_F over K ⪰ 0;  D likewise with A22. Needs an input on
     every coordinate.
 
-    **Arguments:** `realization`; `fit` of B₂; `E`: scaled input map; `solver`.
+    **Arguments:** `realization`; `fit` of B₂; `E`: scaled input map; `solver`; `averaged`: take for M⁻¹ the symmetric
+    part of B₂E⁺, as the paper does, instead of the symmetric matrix that fits best. The fit trusts the realisation,
+    whose errors lie in B₂ too, and is the poorer of the two (by a sixth on the reference system) unless some input
+    hardly moves anything.
 
     **Returns:** scaled M, D, K.
 
@@ -80,7 +88,13 @@ def from_inverse_mass(
     # vec(X E) row by row is (I ⊗ Eᵀ) vec(X).
     columns = fit.factor @ xp.kron(xp.eye(dofs), E.T) @ basis
     scale = xp.linalg.norm(columns) / xp.sqrt(columns.shape[1])
-    problem = PositiveLeastSquares.from_residual(columns / scale, fit.target, (dofs,), (0.0,))
+    if averaged:
+        X = input_matrix(fit).reshape(E.shape) @ xp.linalg.pinv(E)
+        size = xp.linalg.norm(X)
+        scale, mean = 1.0 / size, symmetric_vector((X + X.T) / 2) / size
+        problem = PositiveLeastSquares.from_residual(xp.eye(len(mean)), mean, (dofs,), (0.0,))
+    else:
+        problem = PositiveLeastSquares.from_residual(columns / scale, fit.target, (dofs,), (0.0,))
     size = xp.abs(xp.trace(from_symmetric_vector(problem.unconstrained()))) / dofs
     problem = eqx.tree_at(lambda p: p.floors, problem, FLOOR * size[None])
     X = from_symmetric_vector(solver(problem)) / scale

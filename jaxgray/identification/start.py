@@ -1,6 +1,7 @@
 """Starting models: subspace and regression, judged alike by free-run simulation."""
 
 import dataclasses
+import itertools
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -102,27 +103,34 @@ def total_deviation(matrices, setting: Setting, signals: list[Signals]) -> np.nd
     return np.sum([p * w for p, w in zip(parts, weights)], axis=0) / np.sum(weights, axis=0)
 
 
+def by_inverse_mass(setting: Setting, known_mass: Array | None) -> bool:
+    """Whether M follows from B₂ alone."""
+    return isinstance(setting.drive, Force) and known_mass is None and drives_every_coordinate(setting.drive)
+
+
 def physical_model(
-    realization: Realization, fit: InputFit, setting: Setting, known_mass: Array | None
+    realization: Realization, fit: InputFit, setting: Setting, known_mass: Array | None, averaged: bool = False
 ) -> tuple[Array, Array, Array]:
     """M, D, K (scaled) of a realisation, by the problem that the drive allows, on the host.
+
+    `averaged`: as of `from_inverse_mass`, where that is the problem.
 
     **Raises:** `ComputationError` where an input does not reach every coordinate, or a problem has no solution.
     """
     realization, fit, known_mass = jax.device_get((realization, fit, known_mass))
     try:
         with np.errstate(all="ignore"):
-            return _physical_model(realization, fit, setting, known_mass)
+            return _physical_model(realization, fit, setting, known_mass, averaged)
     except np.linalg.LinAlgError as error:
         raise ComputationError(RESULTS.semidefinite_solver, stage="physical parameters", detail=str(error)) from error
 
 
-def _physical_model(realization, fit, setting, known_mass):
+def _physical_model(realization, fit, setting, known_mass, averaged):
     solver = ClarabelSolver()
     if isinstance(setting.drive, Force) and known_mass is None:
         E = np.asarray(setting.drive.input_map)
-        if drives_every_coordinate(setting.drive):
-            return from_inverse_mass(realization, fit, E, solver)
+        if by_inverse_mass(setting, known_mass):
+            return from_inverse_mass(realization, fit, E, solver, averaged=averaged)
         B2 = input_matrix(fit).reshape(E.shape)
         matrices, reach = jointly(realization, (B2, E), solver)
         if not float(reach) > REACH_LIMIT:
@@ -182,14 +190,15 @@ def subspace_starts(
     order = np.argsort(-table, axis=None)[: int(np.isfinite(table).sum())]
     failure = None
     starts: list[Start] = []
+    ways = (False, True) if by_inverse_mass(setting, options.known_mass) else (False,)
     small = len(setting.measured) * longest.u.shape[1] <= SMALL
     for flat in order[: THOROUGH_CELLS if options.thorough and small else MOST_CELLS]:
         index = np.unravel_index(flat, table.shape)
         chosen = jax.tree_util.tree_map(lambda leaf, index=index: np.asarray(leaf[index]), found)
         best = None
-        for fit in _input_fits(chosen, signals, setting, options.input_matrix_from):
+        for fit, averaged in itertools.product(_input_fits(chosen, signals, setting, options.input_matrix_from), ways):
             try:
-                matrices = physical_model(chosen.realization, fit, setting, options.known_mass)
+                matrices = physical_model(chosen.realization, fit, setting, options.known_mass, averaged)
             except ComputationError as error:
                 failure = error
                 continue

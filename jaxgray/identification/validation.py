@@ -34,6 +34,9 @@ the colour of the noise leaves a little of the kind."""
 FAR = (0.13, 0.29, 0.41, 0.57, 0.71, 0.87)
 """Shares of the record by which an input is shifted until it has nothing to do with a residual."""
 
+NEAR = 3
+"""Samples within which a controller answers most; a weak loop would drown among all lags."""
+
 STANDS_OUT = 1.5
 """How much more than with inputs so shifted a residual must agree with future ones."""
 
@@ -54,7 +57,8 @@ class ResidualTest:
     `autocorrelation`: lags 1 … per output; `cross_correlation`: lags −L … L per output and input (positive lags:
     the residual after the input); `band` and `cross_band`: half-widths of the 99 % bands; `white`: whether the
     portmanteau test accepts whiteness at 1 %; `input_explained`: whether past inputs still explain some of the
-    residual at 1 %; `feedback`: whether future inputs do (a sign of closed loop).
+    residual at 1 %; `feedback`: whether future inputs do (a sign of closed loop), or inputs at the same sample alone;
+    `followed`: whether future ones do.
     """
 
     autocorrelation: Float[np.ndarray, "lags outputs"]
@@ -64,6 +68,7 @@ class ResidualTest:
     white: bool
     input_explained: bool
     feedback: bool
+    followed: bool
 
 
 def _correlation(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
@@ -149,11 +154,11 @@ def residual_test(
             c = _correlation(innovations[:, k], w, lags)
             pairs = outputs * u.shape[1]
             late |= _chance(c[lags + 1 :], own[lags:], n) * pairs < 0.01
-            early |= _follows(innovations[:, k], calm, calm_own[lags:], range(-lags, 0), pairs)
+            for reach in (lags, NEAR):
+                early |= _follows(innovations[:, k], calm, calm_own[lags:], range(-reach, 0), pairs)
             at_once |= _follows(innovations[:, k], calm, calm_own[lags:], range(0, 1), pairs)
-    return ResidualTest(
-        auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, early or (at_once and not late)
-    )
+    feedback = early or (at_once and not late)
+    return ResidualTest(auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, feedback, early)
 
 
 def ar_coefficients(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " coefficients"]:

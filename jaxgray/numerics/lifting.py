@@ -20,6 +20,10 @@ BLOCK = 32
 SHORT_BLOCK = 16
 """The same where derivatives are taken too: the products with T, most of the work, are half as large."""
 
+UPPER_BLOCK = 8
+"""Blocks per block of the recursion over blocks: its T has an entry for every pair of states, and derivatives of it are
+built anew for every parameter, which on short records costs more than all else."""
+
 _SECOND_LEVEL_STATES = 8
 _UNROLLED_BLOCKS = 48
 
@@ -85,7 +89,7 @@ def block_starts(
 ) -> tuple[Float[Array, "blocks states"], Float[Array, " states"]]:
     """States at the start of every block of x⁺ = A x + drive, and the state after the last.
 
-    Small states are lifted once more, so that the sequential part of a 20 000-sample record is some
+    Small states are lifted again, until the sequential part of a 20 000-sample record is some
     twenty steps; large ones (filter cascades) are scanned, where a second lifting would cost more than
     it saves.
     """
@@ -98,9 +102,9 @@ def block_starts(
         last, starts = jax.lax.scan(step, x0, drive)
         return starts, last
     eye = jnp.eye(states, dtype=transition.dtype)
-    upper = lift(transition, eye, eye, jnp.zeros_like(eye))
-    padded = jnp.pad(drive, ((0, -blocks % BLOCK + BLOCK), (0, 0)))
-    grouped = padded.reshape(-1, BLOCK * states)
+    upper = lift(transition, eye, eye, jnp.zeros_like(eye), block=UPPER_BLOCK)
+    padded = jnp.pad(drive, ((0, -blocks % UPPER_BLOCK + UPPER_BLOCK), (0, 0)))
+    grouped = padded.reshape(-1, UPPER_BLOCK * states)
     heads, _ = block_starts(upper.transition, grouped @ upper.reachability.T, x0)
     starts = (grouped @ upper.toeplitz.T + heads @ upper.observability.T).reshape(-1, states)
     return starts[:blocks], starts[blocks]

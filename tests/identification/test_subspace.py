@@ -143,3 +143,18 @@ def test_gradient_at_repeated_eigenvalues():
     gradient = both(jnp.zeros((2, 2)))[1]
     assert np.all(np.isfinite(gradient))
     assert np.isclose(np.sum(gradient * direction), numerical, rtol=1e-5)
+
+
+def test_inverse_mass_may_be_the_symmetric_part_of_the_input_matrix():
+    B2 = np.array([[2.0, 0.3], [0.1, 1.0]])
+    weights = np.diag([1.0, 2.0, 3.0, 4.0])
+    fit = InputFit(weights, weights @ B2.ravel())
+    zero = np.zeros((2, 2))
+    realization = Realization(-B2 @ np.diag([50.0, 80.0]), -B2, zero, zero, np.ones(()), np.ones(2))
+    mean, fitted = (
+        np.linalg.inv(from_inverse_mass(realization, fit, np.eye(2), ClarabelSolver(), averaged=a)[0])
+        for a in (True, False)
+    )
+    np.testing.assert_allclose(mean, (B2 + B2.T) / 2, rtol=1e-6)
+    # Of the two off-diagonal entries, which the fit knows with weights 2 and 3.
+    np.testing.assert_allclose(fitted[0, 1], (4 * 0.3 + 9 * 0.1) / 13, rtol=1e-6)
