@@ -103,11 +103,6 @@ def total_deviation(matrices, setting: Setting, signals: list[Signals]) -> np.nd
     return np.sum([p * w for p, w in zip(parts, weights)], axis=0) / np.sum(weights, axis=0)
 
 
-def by_inverse_mass(setting: Setting, known_mass: Array | None) -> bool:
-    """Whether M follows from B₂ alone."""
-    return isinstance(setting.drive, Force) and known_mass is None and drives_every_coordinate(setting.drive)
-
-
 def physical_model(
     realization: Realization, fit: InputFit, setting: Setting, known_mass: Array | None, averaged: bool = False
 ) -> tuple[Array, Array, Array]:
@@ -129,7 +124,7 @@ def _physical_model(realization, fit, setting, known_mass, averaged):
     solver = ClarabelSolver()
     if isinstance(setting.drive, Force) and known_mass is None:
         E = np.asarray(setting.drive.input_map)
-        if by_inverse_mass(setting, known_mass):
+        if drives_every_coordinate(setting.drive):
             return from_inverse_mass(realization, fit, E, solver, averaged=averaged)
         B2 = input_matrix(fit).reshape(E.shape)
         matrices, reach = jointly(realization, (B2, E), solver)
@@ -190,7 +185,9 @@ def subspace_starts(
     order = np.argsort(-table, axis=None)[: int(np.isfinite(table).sum())]
     failure = None
     starts: list[Start] = []
-    ways = (False, True) if by_inverse_mass(setting, options.known_mass) else (False,)
+    # M⁻¹ from B₂ alone may be had in two ways.
+    alone = options.known_mass is None and drives_every_coordinate(setting.drive)
+    ways = (False, True) if alone else (False,)
     small = len(setting.measured) * longest.u.shape[1] <= SMALL
     for flat in order[: THOROUGH_CELLS if options.thorough and small else MOST_CELLS]:
         index = np.unravel_index(flat, table.shape)

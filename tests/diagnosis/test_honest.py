@@ -95,6 +95,14 @@ def test_a_closed_loop_is_announced():
     assert not model_findings(diagnosis), str(diagnosis)
 
 
+def test_noise_that_a_controller_feeds_back_is_no_crosstalk():
+    # A record of a campaign in which the input seemed to leak into the output.
+    diagnosis = diagnosed(hidden.closed_loop_case(np.random.default_rng([68101, 4, 2])))
+    assert "closed_loop" in record_findings(diagnosis)
+    assert diagnosis.verdict == "noise" and not model_findings(diagnosis), str(diagnosis)
+    assert any(r.effect == "sensor_crosstalk" and "closed loop" in r.why for r in diagnosis.rejected)
+
+
 def test_the_extended_model_simulates_what_was_measured():
     case = hidden_case("cubic_stiffness")
     diagnosis = diagnosed(case)
