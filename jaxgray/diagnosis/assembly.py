@@ -8,11 +8,11 @@ from ..identification.validation import fit_of
 from ..mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term
 from ..mechanics.model import MechanicalModel
 from ..records import Record
+from .belief import residual_rms
 from .bench import Bench
 from .competitor import FlexibleForce
 from .extension import Layout, Refit
 from .grown import Accepted, Growth
-from .growth import residual_rms
 from .judgement import FreeRun
 from .problem import Candidate, Setup
 from .result import (
@@ -94,7 +94,8 @@ def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, 
         members = [_member(accepted.attempt.fit, growth.fit, k, setup, record, 0.0)]
         for rival in accepted.rivals:
             difference = accepted.attempt.criterion - rival.criterion
-            members.append(_member(rival.fit, None, len(rival.fit.candidate.terms) - 1, setup, record, difference))
+            at = [(t.effect.id, t.place.name) for t in rival.fit.candidate.terms].index(rival.name)
+            members.append(_member(rival.fit, None, at, setup, record, difference))
         found.append(
             Finding(
                 *accepted.attempt.name,

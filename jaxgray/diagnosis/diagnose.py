@@ -26,12 +26,13 @@ from .assembly import (
     summary_of,
 )
 from .baseline import baseline_of, independent_floor
+from .belief import residual_rms
 from .bench import Bench
 from .competitor import FlexibleForce
 from .experiment import next_experiment
 from .gain import gain_of
 from .grown import Growth
-from .growth import grow, recount, residual_rms
+from .growth import grow, recount
 from .judgement import FreeRun, overall
 from .other_start import from_other_modes
 from .problem import Data
@@ -150,7 +151,8 @@ def _of_clean_records(
         from_other_modes(bench, growth, identification, records)
     progress.stage("summing up")
     chain = growth.screening.chain
-    noise = noise_findings(records[0], growth.stage.e, chain.ratio, chain.worth)
+    # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
+    noise = () if growth.unexplained else noise_findings(records[0], growth.stage.e, chain.ratio, chain.worth)
     return _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
 
 
@@ -267,7 +269,7 @@ def _experiment(bench: Bench, growth: Growth, record: Record, floor):
     """The experiment that separates the first class that the record leaves open."""
     for accepted in growth.accepted:
         if accepted.rivals:
-            members = [accepted.attempt.fit.candidate, *(rival.fit.candidate for rival in accepted.rivals)]
+            members = [growth.fit.candidate, *(rival.fit.candidate for rival in accepted.rivals)]
             return next_experiment(bench, members, record, floor, progress=bench.progress)
     return None
 

@@ -44,10 +44,22 @@ class Accepted:
         return self.attempt.fit.candidate.terms[-1].effect.stage
 
 
+@dataclass(frozen=True)
+class Credit:
+    """Where the loop was before findings were lent their place: `stage`, its `fit`, the `screening` there, whether it
+    left something `unexplained`, and how many findings were `sure`."""
+
+    stage: Stage
+    fit: Refit | None
+    screening: Screening
+    unexplained: bool
+    sure: int
+
+
 @dataclass
 class Growth:
     """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
-    tried, the last look, and what is no longer looked for."""
+    tried, the last look, what is no longer looked for, and what the last findings owe."""
 
     start: Stage
     stage: Stage
@@ -61,6 +73,12 @@ class Growth:
     ruled_out: frozenset = frozenset()
     baseline_runs: list[FreeRun] = field(default_factory=list)
     runs: list[FreeRun] = field(default_factory=list)
+    credit: Credit | None = None
+
+    @property
+    def sure(self) -> Stage:
+        """The model without findings on credit."""
+        return self.stage if self.credit is None else self.credit.stage
 
 
 def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
@@ -69,6 +87,11 @@ def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
     entries = len(candidate.entries)
     kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - entries, bool)])
     return dataclasses.replace(stage, J=stage.J[:, :, kept])
+
+
+def is_local(bench: Bench, effect_id: str) -> bool:
+    """Whether held-out data do not show an effect."""
+    return effect_id in TIME_LOCAL and not (bench.separate and effect_id != "periodic_disturbance")
 
 
 def held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:

@@ -94,18 +94,29 @@ def overall(rmse: Float[np.ndarray, " outputs"], floor: Float[np.ndarray, " outp
 
 
 def significance(fit: Refit, layout: Layout, term: int) -> float:
-    """The largest |β|/se among the amplitudes of one term."""
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    best = 0.0
-    for at, (k, j) in enumerate(layout.terms):
-        parameter = fit.candidate.terms[k].effect.parameters[j]
-        if k != term or not parameter.amplitude:
-            continue
-        error = errors[layout.first + at]
-        best = max(best, abs(float(fit.candidate.terms[k].values[j])) / error if error > 0 else 0.0)
+    """How far the amplitudes of one term are from nothing, in standard errors: the largest |β|/se, or all of them
+    together where laws with several share what they explain (Wald's statistic as a normal one, Wilson & Hilferty).
+    """
+    at, values = [], []
+    for position, (k, j) in enumerate(layout.terms):
+        if k == term and fit.candidate.terms[k].effect.parameters[j].amplitude:
+            at.append(layout.first + position)
+            values.append(float(fit.candidate.terms[k].values[j]))
     if not any(p.amplitude and p.counts for p in fit.candidate.terms[term].effect.parameters):
         return np.inf
-    return best
+    known = np.diag(fit.covariance)[at] > 0
+    if not known.any():
+        return 0.0
+    at, values = np.array(at)[known], np.array(values)[known]
+    covariance = fit.covariance[np.ix_(at, at)]
+    errors = np.sqrt(np.diag(covariance))
+    scaled = values / errors
+    best = float(np.max(np.abs(scaled)))
+    if len(at) == 1:
+        return best
+    wald = float(scaled @ pseudo_inverse(covariance / np.outer(errors, errors)) @ scaled)
+    part = 2 / (9 * len(at))
+    return max(best, float((np.cbrt(max(wald, 0.0) / len(at)) - 1 + part) / np.sqrt(part)))
 
 
 def at_bound(fit: Refit, term: int) -> str | None:

@@ -15,11 +15,11 @@ from ..identification.start import nearest_physical
 from ..mechanics.simulate import initial_state
 from ..numerics.outcomes import ComputationError
 from ..records import Record
+from .belief import residual_rms
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .gain import gain_of
 from .grown import Growth, held_out_run, stage_of_candidate
-from .growth import residual_rms
 from .judgement import FreeRun
 from .problem import Candidate
 from .residual import white_chain

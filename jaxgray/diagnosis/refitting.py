@@ -50,10 +50,14 @@ class Attempt:
 
 
 def attempts_of(
-    bench: Bench, stage: Stage, listed: list[list[Score]], chain: Chain, rejected: list[Rejected]
+    bench: Bench,
+    stage: Stage,
+    listed: list[list[Score]],
+    chain: Chain,
+    rejected: list[Rejected],
 ) -> dict[tuple[str, str], Attempt]:
     """Refits of the listed candidates; only those that still can be the best are carried to their end. Laws that
-    contain a simpler one begin where that ended."""
+    contain a simpler one begin where that ended. `best`: criterion of the best so far, whose steps are kept, if any."""
     names = {_name(scores[0]) for scores in listed}
     inside = [any((simpler, place) in names for simpler in law.contains) for law, place in map(_law, listed)]
     fits = _outright(bench, stage, [s for s, nested in zip(listed, inside) if not nested], chain, rejected)
@@ -66,7 +70,7 @@ def attempts_of(
         else:
             fits |= _outright(bench, stage, [scores], chain, rejected)
     attempts: dict[tuple[str, str], Attempt] = {}
-    for score, fit in _followed(bench, list(fits.values()), rejected):
+    for score, fit in _followed(bench, fits, rejected).values():
         attempt = by_contact(bench, Attempt(score, fit, chain_of(bench, fit)), stage)
         if attempt.name not in attempts or attempt.chain.cost < attempts[attempt.name].chain.cost:
             attempts[attempt.name] = attempt
@@ -81,8 +85,8 @@ def _law(scores: list[Score]):
     return scores[0].shape.effect, scores[0].shape.place.name
 
 
-def _criterion(bench: Bench, score: Score, fit: Refit) -> float:
-    return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(bench, score)
+def criterion_of(bench: Bench, score: Score, fit: Refit) -> float:
+    return fit.count * np.log(max(fit.cost, 1e-300)) + penalty_of(bench, score)
 
 
 def _outright(
@@ -98,7 +102,7 @@ def _outright(
             fit = first_fit(bench, stage, score, chain, best)
             if fit is None:
                 continue
-            criterion = _criterion(bench, score, fit)
+            criterion = criterion_of(bench, score, fit)
             best = min(best, criterion)
             if name not in rough or criterion < rough[name][0]:
                 rough[name] = criterion, score, fit
@@ -131,7 +135,7 @@ def _beyond(
     # Under the same chain and with the same samples counted as what is compared with it.
     again = refit(bench.simulator, simple.candidate, bench.data, chain, held=bench.held, max_steps=3, tolerance=ROUGH)
     simple = simple if again is None else again
-    most = _criterion(bench, simpler, simple) + (STANDING_ALIKE if chain.ratio == 0.0 else HOPELESS)
+    most = criterion_of(bench, simpler, simple) + (STANDING_ALIKE if chain.ratio == 0.0 else HOPELESS)
     last = simple.candidate.terms[-1]
     known = dict(zip((p.name for p in last.effect.parameters), last.values))
     best = None
@@ -141,15 +145,15 @@ def _beyond(
         term = Term(shape.effect, shape.place, shape.effect.bounded(np.array(values, dtype=float)))
         begin = simple.candidate.with_terms((*simple.candidate.terms[:-1], term))
         with np.errstate(over="ignore"):
-            abandon = np.exp((most - _penalty(bench, score)) / simple.count)
+            abandon = np.exp((most - penalty_of(bench, score)) / simple.count)
         options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
         fit = refit(bench.simulator, begin, bench.data, chain, **options)
-        if fit is not None and (best is None or _criterion(bench, score, fit) < _criterion(bench, *best)):
+        if fit is not None and (best is None or criterion_of(bench, score, fit) < criterion_of(bench, *best)):
             best = score, fit
     if best is None:
         rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
         return None
-    if _criterion(bench, *best) > most:
+    if criterion_of(bench, *best) > most:
         why = f"explains no more than {simpler.shape.effect.id}, which it contains"
         rejected.append(Rejected(*name, scores[0].delta_bic, why))
         return None
@@ -157,24 +161,26 @@ def _beyond(
     return best[0], pursued(bench, best[1])
 
 
-def _followed(bench: Bench, fits: list[tuple[Score, Refit]], rejected: list[Rejected]) -> list[tuple[Score, Refit]]:
+def _followed(
+    bench: Bench, fits: dict[tuple[str, str], tuple[Score, Refit]], rejected: list[Rejected]
+) -> dict[tuple[str, str], tuple[Score, Refit]]:
     """The refits with their forces followed in steps as short as the best of them needs; all in the same, since what
     shorter steps mend is not a law's merit."""
     if not fits:
         return fits
-    costs = [chain_of(bench, fit).cost + _penalty(bench, score) for score, fit in fits]
-    best, steps = int(np.argmin(costs)), bench.simulator.substeps
-    fit = sharpened(bench, fits[best][1])
+    costs = {name: chain_of(bench, fit).cost + penalty_of(bench, score) for name, (score, fit) in fits.items()}
+    best, steps = min(costs, key=costs.get), bench.simulator.substeps
+    sharp = sharpened(bench, fits[best][1])
     if bench.simulator.substeps == steps:
         return fits
-    result = []
-    for k, (score, other) in enumerate(fits):
-        behind = costs[k] - costs[best]
+    result = {}
+    for name, (score, fit) in fits.items():
+        behind = costs[name] - costs[best]
         if behind < HOPELESS:
-            result.append((score, fit if k == best else at_the_same_steps(bench, other)))
+            result[name] = score, sharp if name == best else at_the_same_steps(bench, fit)
         else:
             why = f"explains less than the best candidate of its round (by {behind:.0f})"
-            rejected.append(Rejected(*_name(score), score.delta_bic, why))
+            rejected.append(Rejected(*name, score.delta_bic, why))
     return result
 
 
@@ -198,7 +204,7 @@ def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
     return dataclasses.replace(attempt, fit=fit, score=dataclasses.replace(attempt.score, shape=shape))
 
 
-def _penalty(bench: Bench, score: Score) -> float:
+def penalty_of(bench: Bench, score: Score) -> float:
     return score.shape.free * np.log(rows_of(bench.data[0])) + 2 * np.log(score.shape.tried)
 
 
@@ -207,7 +213,7 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
     fit = None
     nothing = float(np.sum(weighted(chain, stage.e[:, :, None], bench.data[0].kept) ** 2))
     with np.errstate(over="ignore"):
-        abandon = np.exp((best + 2 * HOPELESS - _penalty(bench, score)) / rows_of(bench.data[0]))
+        abandon = np.exp((best + 2 * HOPELESS - penalty_of(bench, score)) / rows_of(bench.data[0]))
     for term in softened(score.shape.term(score.weights), score.shape.scales):
         if fit is not None:
             if fit.count * np.log(max(fit.cost, 1e-300)) > best + 10 * HOPELESS:
@@ -249,14 +255,14 @@ def compared(bench: Bench, stage: Stage, attempts: list[Attempt]) -> list[Attemp
     if not attempts:
         return []
 
-    own = [a.chain.cost + _penalty(bench, a.score) for a in attempts]
+    own = [a.chain.cost + penalty_of(bench, a.score) for a in attempts]
     chain = attempts[int(np.argmin(own))].chain
     data = bench.data[0]
     base, rows = evidence(stage.e, stage.J, data, chain)
     result = []
     for a in attempts:
         cost, _ = evidence(*moving(bench, a.fit), data, chain)
-        penalty = _penalty(bench, a.score)
+        penalty = penalty_of(bench, a.score)
         criterion = rows * np.log(max(cost, 1e-300)) + penalty
         delta = rows * np.log(base) - criterion
         result.append(dataclasses.replace(a, criterion=float(criterion), penalty=penalty, delta_bic=float(delta)))

@@ -59,13 +59,13 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
             chosen[key] = []
     for key, scores in chosen.items():
         for table in tables:
-            if key in table and not any(_same(table[key], s) for s in scores):
+            if key in table and not any(same_start(table[key], s) for s in scores):
                 scores.append(table[key])
         del scores[2:]
     return list(chosen.values())
 
 
-def _same(one: Score, other: Score) -> bool:
+def same_start(one: Score, other: Score) -> bool:
     """Whether two scores are of one shape, as far as a refit moves it: amplitudes find their size in a step or two."""
     moving = [p.counts and not p.amplitude for p in one.shape.effect.parameters]
     a, b = one.shape.values[moving], other.shape.values[moving]

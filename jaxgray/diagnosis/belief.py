@@ -1,0 +1,99 @@
+"""Whether an attempt may be believed: what speaks against it, and what it gains on data that the fit has not seen."""
+
+import numpy as np
+
+from ..identification.validation import residual_test
+from ..mechanics.effects.sensor import SensorCrosstalk
+from .bench import Bench
+from .extension import Layout
+from .gain import gain_of
+from .grown import Growth, held_out_run, is_local
+from .judgement import ACCEPTED, SIGNIFICANT, FreeRun, at_bound, overall, significance
+from .problem import Data
+from .refitting import Attempt
+
+EXPLAINED = 0.1
+"""Least share of the excess that a finding must explain."""
+
+
+def floor_of(bench: Bench, attempts: list[Attempt]) -> np.ndarray:
+    """Noise floor per output: the independent one, or what the best refit leaves."""
+    if bench.floor is not None:
+        return bench.floor
+    if not attempts:
+        return np.ones(bench.simulator.setup.dofs)
+    return residual_rms(attempts[0].fit.residual[0], bench.data[0])
+
+
+def residual_rms(e: np.ndarray, data: Data) -> np.ndarray:
+    """Root mean square of a residual per output over the samples that were measured."""
+    power = np.sum(np.where(data.kept, e, 0.0) ** 2, axis=0) / np.maximum(data.kept.sum(axis=0), 1)
+    return np.maximum(np.sqrt(power), 1e-300)
+
+
+def unsound(bench: Bench, growth: Growth, attempt: Attempt) -> str | None:
+    """What speaks against an attempt whatever it gains, None for nothing."""
+    last = len(attempt.fit.candidate.terms) - 1
+    if attempt.delta_bic < ACCEPTED:
+        return f"the refit explains too little (ΔBIC {attempt.delta_bic:.0f})"
+    if _fed_back(bench, growth, attempt):
+        return "the inputs follow what it leaves: a closed loop looks the same"
+    bound = at_bound(attempt.fit, last)
+    if bound is not None:
+        return f"{bound} ran to its physical bound"
+    size = significance(attempt.fit, Layout(bench.simulator.setup, attempt.fit.candidate), last)
+    return f"only {size:.1f} standard errors from nothing" if size < SIGNIFICANT else None
+
+
+def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
+    """Why an attempt cannot be believed (None if it can), its gain, and its free runs on held-out data."""
+    why = unsound(bench, growth, attempt)
+    if why is not None:
+        return why, None, None
+    here = growth.sure
+    if not np.all(residual_rms(attempt.fit.residual[0], bench.data[0]) < 2 * residual_rms(here.e, bench.data[0])):
+        return "its free run leaves more than it explains", None, None
+    before = overall(residual_rms(here.e, bench.data[0]), floor) ** 2
+    after = overall(residual_rms(attempt.fit.residual[0], bench.data[0]), floor) ** 2
+    if after > before:
+        return "its free run leaves more than the model without it", None, None
+    if before - after < EXPLAINED * max(before - 1.0, 0.0):
+        share = 100 * (before - after) / (before - 1.0)
+        return f"explains only {share:.0f} % of the excess", None, None
+    names = bench.names[1]
+    if is_local(bench, attempt.name[0]) or not bench.validation:
+        runs = growth.runs
+        old, new, base = (
+            [FreeRun(e, e, bench.data[0].kept)] for e in (here.e, attempt.fit.residual[0], growth.start.e)
+        )
+        gain = gain_of(old, new, base, floor, names, held_out=False, rng=bench.rng)
+        # What was fitted to these data always gains a little.
+        sure = gain.ci99_lower > 0 and gain.ci95[0] > 0
+        return (None if sure else "no sure gain, even on the data of the fit"), gain, runs
+    runs = [held_out_run(bench, attempt.fit.candidate, d) for d in bench.validation]
+    if not all(np.all(np.isfinite(run.e)) for run in runs):
+        return "its free run on held-out data overflows", None, None
+    gain = gain_of(growth.runs, runs, growth.baseline_runs, floor, names, held_out=True, rng=bench.rng)
+    if not gain.ci99_lower > 0:
+        return f"no sure gain on held-out data ({gain.percent:.1f} %, from {gain.ci99_lower:.1f} %)", gain, None
+    if growth.credit is not None:
+        lent = growth.accepted[-1].runs
+        more = gain_of(lent, runs, growth.baseline_runs, floor, names, held_out=True, rng=bench.rng)
+        if not more.ci99_lower > 0:
+            return "no sure gain on held-out data beyond that of what was lent its place", more, None
+    return None, gain, runs
+
+
+def _fed_back(bench: Bench, growth: Growth, attempt: Attempt) -> bool:
+    """Whether crosstalk from an input stands for a closed loop that feeds the noise back to the inputs; such crosstalk
+    is then no longer looked for."""
+    inputs, outputs = bench.names
+    from_inputs = frozenset((SensorCrosstalk.id, f"{u}->{y}") for u in inputs for y in outputs)
+    if attempt.name not in from_inputs:
+        return False
+    data = bench.data[0]
+    e = np.where(data.kept, attempt.fit.residual[0], np.nan)[: data.samples]
+    if not residual_test(e, data.u[: data.samples]).followed:
+        return False
+    growth.ruled_out |= from_inputs
+    return True

@@ -1,0 +1,76 @@
+"""Findings on credit: the first of two that gain something only together.
+
+Where another effect is still missing, its traces pass for noise at the forces. Under such noise a refit follows the
+record step by step, and what it finds, right as it may be, brings no free run nearer. It is lent its place until a
+later finding redeems it, by a sure gain of both over the model before them; else it is withdrawn.
+"""
+
+import dataclasses
+
+from .bench import Bench
+from .extension import refit
+from .gain import gain_of
+from .grown import Accepted, Credit, Growth, held_out_run, is_local, stage_of_candidate
+from .judgement import FreeRun
+from .refitting import Attempt
+from .residual import white_chain
+
+CLEAR = 100.0
+"""ΔBIC from which something is there, whatever the noise."""
+
+LOANS = 2
+"""Findings that may be lent their place at a time."""
+
+STEPS = 20
+
+
+def lendable(growth: Growth, ranked: list[Attempt]) -> bool:
+    """Whether a finding may be lent its place: something is clearly there, under noise at the forces."""
+    lent = 0 if growth.credit is None else len(growth.accepted) - growth.credit.sure
+    return bool(ranked) and lent < LOANS and ranked[0].chain.ratio > 0.0 and ranked[0].delta_bic > CLEAR
+
+
+def by_free_run(bench: Bench, growth: Growth, attempt: Attempt) -> Attempt:
+    """An attempt refitted for the free run alone, from the model without it."""
+    sure, data = growth.sure, bench.data[0]
+    begin = sure.candidate if growth.credit is None else growth.accepted[-1].attempt.fit.candidate
+    candidate = begin.with_terms((*begin.terms, attempt.fit.candidate.terms[-1]))
+    chain = white_chain(sure.e, data.kept, sure.system)
+    fit = refit(bench.simulator, candidate, bench.data, chain, held=bench.held, max_steps=STEPS)
+    return attempt if fit is None else dataclasses.replace(attempt, fit=fit)
+
+
+def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: tuple[Attempt, ...], floor) -> None:
+    """Go on with a finding that has no sure gain yet; `free` is it refitted for the free run, which its gain is of."""
+    data, before, old = bench.data[0], growth.runs, growth.stage.e
+    if growth.credit is None:
+        sure = len(growth.accepted)
+        growth.credit = Credit(growth.stage, growth.fit, growth.screening, growth.unexplained, sure)
+    else:
+        before, old = growth.accepted[-1].runs, growth.accepted[-1].attempt.fit.residual[0]
+    held_out = not is_local(bench, attempt.name[0]) and bool(bench.validation)
+    runs = [held_out_run(bench, free.fit.candidate, d) for d in bench.validation] if held_out else before
+    pairs = [[FreeRun(e, e, data.kept)] for e in (old, free.fit.residual[0], growth.start.e)]
+    pairs = (before, runs, growth.baseline_runs) if held_out else pairs
+    gain = gain_of(*pairs, floor, bench.names[1], held_out=held_out, rng=bench.rng)
+    growth.accepted.append(Accepted(free, rivals, gain, runs))
+    growth.fit, growth.stage = attempt.fit, stage_of_candidate(bench, attempt.fit.candidate)
+
+
+def redeem(growth: Growth) -> None:
+    """Count findings on credit as sure, once a later one holds."""
+    credit, growth.credit = growth.credit, None
+    if credit is None:
+        return
+    names = {accepted.attempt.name for accepted in growth.accepted[credit.sure : -1]}
+    growth.rejected = [one for one in growth.rejected if (one.effect, one.location) not in names]
+
+
+def withdraw(growth: Growth) -> None:
+    """Take back what was lent and never redeemed."""
+    credit, growth.credit = growth.credit, None
+    if credit is None:
+        return
+    del growth.accepted[credit.sure :]
+    growth.stage, growth.fit = credit.stage, credit.fit
+    growth.screening, growth.unexplained = credit.screening, credit.unexplained

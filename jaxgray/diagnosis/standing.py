@@ -1,0 +1,51 @@
+"""Laws that a record hardly tells apart: which stand for one another, and which is another with something needless."""
+
+import numpy as np
+import scipy.special
+
+from .judgement import ALIKE
+from .refitting import STANDING_ALIKE, Attempt
+
+STANDING = (
+    frozenset(("input_delay", "actuator_lag", "intersample_hold", "sensor_delay", "sensor_lag")),
+    frozenset(("constant_force", "sensor_offset")),
+    frozenset(("stiffness_step", "mass_step")),
+    frozenset(("cubic_stiffness", "end_stop", "dead_zone_stiffness", "sine_stiffness")),
+    frozenset(("bouc_wen_hysteresis", "maxwell_slip_hysteresis", "dahl_friction")),
+    frozenset(("bilinear_stiffness", "quadratic_stiffness")),
+)
+"""Laws that are easily alike: one of them is ruled out only by more, and never unheard."""
+
+
+def standing_for(effect_id: str) -> frozenset[str]:
+    """Ids of the laws that are easily taken for one."""
+    return frozenset().union(*(group for group in STANDING if effect_id in group)) - {effect_id}
+
+
+def alike(best: Attempt, other: Attempt) -> float:
+    """Difference of BIC within which two attempts count as one class."""
+    return STANDING_ALIKE if other.name[0] in standing_for(best.name[0]) else ALIKE
+
+
+def simplified(ranked: list[Attempt]) -> list[Attempt]:
+    """The ranking, with the simpler law first where the best is the same with a parameter that explains nothing."""
+    for other in ranked[1:]:
+        if needless(ranked[0], other):
+            return [other, *(one for one in ranked if one is not other)]
+    return ranked
+
+
+def needless(rival: Attempt, best: Attempt) -> bool:
+    """Whether a rival is the best law at its place with more parameters, which do not pay (likelihood ratio) or are
+    within two standard errors of nothing."""
+    small, large = best.score.shape, rival.score.shape
+    if rival.name[1] != best.name[1] or small.effect.id not in large.effect.contains:
+        return False
+    term, known = rival.fit.candidate.terms[-1], {p.name for p in small.effect.parameters}
+    own = [j for j, p in enumerate(term.effect.parameters) if p.counts]
+    errors = np.sqrt(np.maximum(np.diag(rival.fit.covariance)[-len(own) :], 0.0))
+    further = [(float(term.values[j]), e) for j, e in zip(own, errors) if term.effect.parameters[j].name not in known]
+    if further and all(abs(value) < 2 * error for value, error in further):
+        return True
+    ratio = best.criterion - best.penalty - (rival.criterion - rival.penalty)
+    return ratio < scipy.special.chdtri(max(large.free - small.free, 1), 0.05)

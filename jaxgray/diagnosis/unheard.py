@@ -1,0 +1,65 @@
+"""Laws that are easily taken for the best of a round, but were not among those tried: each gets its hearing."""
+
+import numpy as np
+
+from ..mechanics.effects.base import Term
+from .bench import Bench, chain_of
+from .extension import Refit, refit
+from .judgement import ACCEPTED
+from .pursuit import ROUGH, pursued
+from .refitting import HOPELESS, Attempt, criterion_of
+from .result import Rejected
+from .screening import Score, Screening
+from .shortlist import same_start
+
+
+def unheard(ids: frozenset[str], screening: Screening, closer: Screening) -> list[list[Score]]:
+    """Candidates of the given laws, each at the place where it explains most, with the shapes to start from."""
+    listed = []
+    for effect_id in sorted(ids):
+        scores: list[Score] = []
+        for table in (closer.scores, screening.scores, screening.first):
+            best = next((score for score in table if score.shape.effect.id == effect_id), None)
+            if best is None or best.delta_bic < ACCEPTED:
+                continue
+            if not scores or (scores[0].shape.place.name == best.shape.place.name and not same_start(best, scores[0])):
+                scores.append(best)
+        if scores:
+            listed.append(scores[:2])
+    return listed
+
+
+def instead_of(bench: Bench, best: Attempt, scores: list[Score], rejected: list[Rejected]) -> Attempt | None:
+    """The refit of a law that stands in the place of the best one, from where the best one's refit ended: parameters
+    of the same name begin with the same values. None where it ends far behind."""
+    name = scores[0].shape.effect.id, scores[0].shape.place.name
+    bench.progress.stage(f"refitting {name[0]} at {name[1]}")
+    chain, fit = best.chain, best.fit
+    last = fit.candidate.terms[-1]
+    known = dict(zip((p.name for p in last.effect.parameters), last.values))
+    # Under the chain, and with the samples counted, that the other is compared under.
+    again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=3, tolerance=ROUGH)
+    most = criterion_of(bench, best.score, fit if again is None else again) + HOPELESS
+    found: tuple[Score, Refit] | None = None
+    for score in scores:
+        shape = score.shape.term(score.weights)
+        alike = np.array([known.get(p.name, value) for p, value in zip(shape.effect.parameters, shape.values)], float)
+        for values in (alike, np.array(shape.values, float)):
+            term = Term(shape.effect, shape.place, shape.effect.bounded(values))
+            begin = fit.candidate.with_terms((*fit.candidate.terms[:-1], term))
+            trial = refit(bench.simulator, begin, bench.data, chain, held=bench.held, max_steps=10, tolerance=ROUGH)
+            if trial is not None and (found is None or criterion_of(bench, score, trial) < criterion_of(bench, *found)):
+                found = score, trial
+            if np.array_equal(alike, shape.values):
+                break
+    if found is None:
+        rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
+        return None
+    behind = criterion_of(bench, *found) - most + HOPELESS
+    if behind > HOPELESS:
+        why = f"explains less than the best candidate of its round (by {behind:.0f})"
+        rejected.append(Rejected(*name, scores[0].delta_bic, why))
+        return None
+    bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
+    end = pursued(bench, found[1])
+    return Attempt(found[0], end, chain_of(bench, end))
