@@ -57,15 +57,6 @@ def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: 
     growth.fit, growth.stage = attempt.fit, stage_of_candidate(bench, attempt.fit.candidate)
 
 
-def redeem(growth: Growth) -> None:
-    """Count findings on credit as sure, once a later one holds."""
-    credit, growth.credit = growth.credit, None
-    if credit is None:
-        return
-    names = {accepted.attempt.name for accepted in growth.accepted[credit.sure : -1]}
-    growth.rejected = [one for one in growth.rejected if (one.effect, one.location) not in names]
-
-
 def withdraw(growth: Growth) -> None:
     """Take back what was lent and never redeemed."""
     credit, growth.credit = growth.credit, None

@@ -41,7 +41,7 @@ class Accepted:
     @property
     def stage(self) -> str:
         """Whether it says what the "model" lacks or what is wrong with the "record"."""
-        return self.attempt.fit.candidate.terms[-1].effect.stage
+        return self.attempt.score.shape.effect.stage
 
 
 @dataclass(frozen=True)

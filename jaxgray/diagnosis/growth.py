@@ -9,7 +9,7 @@ from ..numerics.runtime import relieve
 from .belief import floor_of, judged, unsound
 from .bench import Bench
 from .competitor import FlexibleForce
-from .credit import CLEAR, by_free_run, lend, lendable, redeem, withdraw
+from .credit import CLEAR, by_free_run, lend, lendable, withdraw
 from .gain import gain_of
 from .grown import Accepted, Growth, held_out_run, stage_of_candidate
 from .judgement import ACCEPTED, at_bound
@@ -82,9 +82,7 @@ def _rounds(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
             if not closer.shows:
                 closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names)
         ranked = _refitted(bench, growth, screening, closer)
-        if _accepted(bench, growth, ranked):
-            growth.unexplained = False
-        elif growth.ruled_out == told_from:
+        if not _accepted(bench, growth, ranked) and growth.ruled_out == told_from:
             refuted = screening.fires and _refuted(bench, growth, ranked, searched)
             growth.unexplained = screening.fires and not refuted
             if refuted or turn >= most - 1 or not _lent(bench, growth, ranked):
@@ -157,18 +155,22 @@ def _accepted(bench: Bench, growth: Growth, ranked: list[Attempt]) -> bool:
         bench.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
         why, gain, runs = judged(bench, growth, attempt, floor)
         if why is None:
-            _take(bench, growth, Accepted(attempt, _rivals(growth, attempt, ranked[k + 1 :]), gain, runs))
+            rivals, refused = _class_of(attempt, ranked[k + 1 :])
+            growth.rejected += refused
+            _take(bench, growth, Accepted(attempt, rivals, gain, runs))
             return True
         growth.rejected.append(Rejected(*attempt.name, attempt.delta_bic, why, gain))
     return False
 
 
 def _take(bench: Bench, growth: Growth, accepted: Accepted) -> None:
-    """Go on with a finding that holds."""
+    """Go on with a finding that holds, and with those on credit that it redeems."""
     growth.accepted.append(accepted)
     growth.fit, growth.runs = accepted.attempt.fit, accepted.runs
     growth.stage = stage_of_candidate(bench, growth.fit.candidate)
-    redeem(growth)
+    growth.unexplained, growth.credit = False, None
+    names = {one.attempt.name for one in growth.accepted}
+    growth.rejected = [one for one in growth.rejected if (one.effect, one.location) not in names]
     prune(bench, growth)
 
 
@@ -180,24 +182,23 @@ def _lent(bench: Bench, growth: Growth, ranked: list[Attempt]) -> bool:
     floor = floor_of(bench, ranked)
     for k, attempt in enumerate(ranked):
         if attempt.delta_bic > CLEAR and unsound(bench, growth, attempt) is None:
-            rivals, free = _rivals(growth, attempt, ranked[k + 1 :]), by_free_run(bench, growth, attempt)
+            rivals, free = _class_of(attempt, ranked[k + 1 :])[0], by_free_run(bench, growth, attempt)
             why, gain, runs = judged(bench, growth, free, floor)
             if why is None:
                 _take(bench, growth, Accepted(free, rivals, gain, runs))
-                growth.unexplained = False
             else:
                 lend(bench, growth, attempt, free, rivals, floor)
             return True
     return False
 
 
-def _rivals(growth: Growth, attempt: Attempt, others: list[Attempt]) -> tuple[Attempt, ...]:
-    """What the record hardly tells from an attempt, among those that were refitted with it; the rest is rejected."""
-    rivals = []
+def _class_of(attempt: Attempt, others: list[Attempt]) -> tuple[tuple[Attempt, ...], list[Rejected]]:
+    """What the record hardly tells from an attempt, among those that were refitted with it, and why not the rest."""
+    rivals, refused = [], []
     for other in others:
-        if other.criterion - attempt.criterion >= alike(attempt, other):
-            best = " at ".join(attempt.name)
-            why = f"explained better by {best} (by {other.criterion - attempt.criterion:.0f})"
+        behind = other.criterion - attempt.criterion
+        if behind >= alike(attempt, other):
+            why = f"explained better by {' at '.join(attempt.name)} (by {behind:.0f})"
         elif needless(other, attempt):
             why = f"the same as {attempt.name[0]} with a parameter that explains nothing"
         elif (bound := at_bound(other.fit, len(other.fit.candidate.terms) - 1)) is not None:
@@ -205,8 +206,8 @@ def _rivals(growth: Growth, attempt: Attempt, others: list[Attempt]) -> tuple[At
         else:
             rivals.append(other)
             continue
-        growth.rejected.append(Rejected(*other.name, other.delta_bic, why))
-    return tuple(rivals[:3])
+        refused.append(Rejected(*other.name, other.delta_bic, why))
+    return tuple(rivals[:3]), refused
 
 
 def recount(bench: Bench, growth: Growth, floor: np.ndarray) -> None:

@@ -50,14 +50,10 @@ class Attempt:
 
 
 def attempts_of(
-    bench: Bench,
-    stage: Stage,
-    listed: list[list[Score]],
-    chain: Chain,
-    rejected: list[Rejected],
+    bench: Bench, stage: Stage, listed: list[list[Score]], chain: Chain, rejected: list[Rejected]
 ) -> dict[tuple[str, str], Attempt]:
     """Refits of the listed candidates; only those that still can be the best are carried to their end. Laws that
-    contain a simpler one begin where that ended. `best`: criterion of the best so far, whose steps are kept, if any."""
+    contain a simpler one begin where that ended."""
     names = {_name(scores[0]) for scores in listed}
     inside = [any((simpler, place) in names for simpler in law.contains) for law, place in map(_law, listed)]
     fits = _outright(bench, stage, [s for s, nested in zip(listed, inside) if not nested], chain, rejected)
@@ -86,7 +82,7 @@ def _law(scores: list[Score]):
 
 
 def criterion_of(bench: Bench, score: Score, fit: Refit) -> float:
-    return fit.count * np.log(max(fit.cost, 1e-300)) + penalty_of(bench, score)
+    return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(bench, score)
 
 
 def _outright(
@@ -145,7 +141,7 @@ def _beyond(
         term = Term(shape.effect, shape.place, shape.effect.bounded(np.array(values, dtype=float)))
         begin = simple.candidate.with_terms((*simple.candidate.terms[:-1], term))
         with np.errstate(over="ignore"):
-            abandon = np.exp((most - penalty_of(bench, score)) / simple.count)
+            abandon = np.exp((most - _penalty(bench, score)) / simple.count)
         options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
         fit = refit(bench.simulator, begin, bench.data, chain, **options)
         if fit is not None and (best is None or criterion_of(bench, score, fit) < criterion_of(bench, *best)):
@@ -168,7 +164,7 @@ def _followed(
     shorter steps mend is not a law's merit."""
     if not fits:
         return fits
-    costs = {name: chain_of(bench, fit).cost + penalty_of(bench, score) for name, (score, fit) in fits.items()}
+    costs = {name: chain_of(bench, fit).cost + _penalty(bench, score) for name, (score, fit) in fits.items()}
     best, steps = min(costs, key=costs.get), bench.simulator.substeps
     sharp = sharpened(bench, fits[best][1])
     if bench.simulator.substeps == steps:
@@ -204,7 +200,7 @@ def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
     return dataclasses.replace(attempt, fit=fit, score=dataclasses.replace(attempt.score, shape=shape))
 
 
-def penalty_of(bench: Bench, score: Score) -> float:
+def _penalty(bench: Bench, score: Score) -> float:
     return score.shape.free * np.log(rows_of(bench.data[0])) + 2 * np.log(score.shape.tried)
 
 
@@ -213,7 +209,7 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
     fit = None
     nothing = float(np.sum(weighted(chain, stage.e[:, :, None], bench.data[0].kept) ** 2))
     with np.errstate(over="ignore"):
-        abandon = np.exp((best + 2 * HOPELESS - penalty_of(bench, score)) / rows_of(bench.data[0]))
+        abandon = np.exp((best + 2 * HOPELESS - _penalty(bench, score)) / rows_of(bench.data[0]))
     for term in softened(score.shape.term(score.weights), score.shape.scales):
         if fit is not None:
             if fit.count * np.log(max(fit.cost, 1e-300)) > best + 10 * HOPELESS:
@@ -255,14 +251,14 @@ def compared(bench: Bench, stage: Stage, attempts: list[Attempt]) -> list[Attemp
     if not attempts:
         return []
 
-    own = [a.chain.cost + penalty_of(bench, a.score) for a in attempts]
+    own = [a.chain.cost + _penalty(bench, a.score) for a in attempts]
     chain = attempts[int(np.argmin(own))].chain
     data = bench.data[0]
     base, rows = evidence(stage.e, stage.J, data, chain)
     result = []
     for a in attempts:
         cost, _ = evidence(*moving(bench, a.fit), data, chain)
-        penalty = penalty_of(bench, a.score)
+        penalty = _penalty(bench, a.score)
         criterion = rows * np.log(max(cost, 1e-300)) + penalty
         delta = rows * np.log(base) - criterion
         result.append(dataclasses.replace(a, criterion=float(criterion), penalty=penalty, delta_bic=float(delta)))
