@@ -41,9 +41,12 @@ def needless(rival: Attempt, best: Attempt) -> bool:
     small, large = best.score.shape, rival.score.shape
     if rival.name[1] != best.name[1] or small.effect.id not in large.effect.contains:
         return False
-    term, known = rival.fit.candidate.terms[-1], {p.name for p in small.effect.parameters}
-    own = [j for j, p in enumerate(term.effect.parameters) if p.counts]
-    errors = np.sqrt(np.maximum(np.diag(rival.fit.covariance)[-len(own) :], 0.0))
+    terms, known = rival.fit.candidate.terms, {p.name for p in small.effect.parameters}
+    at = next(k for k, t in enumerate(terms) if (t.effect.id, t.place.name) == rival.name)
+    term, own = terms[at], [j for j, p in enumerate(terms[at].effect.parameters) if p.counts]
+    later = sum(p.counts for t in terms[at + 1 :] for p in t.effect.parameters)
+    end = len(rival.fit.covariance) - later
+    errors = np.sqrt(np.maximum(np.diag(rival.fit.covariance)[end - len(own) : end], 0.0))
     further = [(float(term.values[j]), e) for j, e in zip(own, errors) if term.effect.parameters[j].name not in known]
     if further and all(abs(value) < 2 * error for value, error in further):
         return True
