@@ -22,6 +22,7 @@ LOANS = 2
 """Findings that may be lent their place at a time."""
 
 STEPS = 20
+"""Of the refit for the free run."""
 
 
 def lendable(growth: Growth, ranked: list[Attempt]) -> bool:

@@ -82,6 +82,7 @@ def _law(scores: list[Score]):
 
 
 def criterion_of(bench: Bench, score: Score, fit: Refit) -> float:
+    """BIC of a refit under the chain that it was found under: N ln cost, and what its shape costs."""
     return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(bench, score)
 
 

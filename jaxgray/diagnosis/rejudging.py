@@ -16,6 +16,7 @@ from .result import Rejected
 from .standing import alike, needless
 
 STEPS = 10
+"""Of each refit of a rival."""
 
 
 def rejudge(bench: Bench, growth: Growth) -> None:
