@@ -13,8 +13,15 @@ import jax.scipy.linalg as jsl
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from ..numerics.lifting import SHORT_BLOCK, free_response, respond
+from ..numerics.lifting import SHORT_BLOCK
 from ..numerics.linear_algebra import triangle_vector
+from ..numerics.sensitivity import (
+    by_blocks,
+    from_blocks,
+    lift_by_channel,
+    respond_in_blocks,
+    sensitivities_in_blocks,
+)
 from .cholesky import pack, unpack
 from .conic import DECREMENT
 from .normal import FLOOR
@@ -46,8 +53,8 @@ class Refined(eqx.Module):
 
     `matrices`: M, D, K; `covariance` of their stacked upper triangles (by columns); `deviation`: mean square
     residual per output; `portmanteau`: Ljung-Box statistic of every output's residual; `least_eigenvalue`:
-    smallest over the blocks, relative to each block's largest; `decrement`: what one more step would take off the
-    sum of squares, in units of the noise variance; `steps`; `settled`: whether that is nothing.
+    smallest over the blocks, relative to each block's largest; `decrement`: what one more step is expected to take off
+    the sum of squares, in units of the noise variance; `steps`; `settled`: whether that is nothing.
     """
 
     matrices: tuple[Float[Array, "dofs dofs"], Float[Array, "dofs dofs"], Float[Array, "dofs dofs"]]
@@ -61,23 +68,24 @@ class Refined(eqx.Module):
 
 
 class _Point(eqx.Module):
-    """Parameters, minus twice the log-likelihood there, and the normal equations in units of the noise.
-
-    `deviation`: mean square residual per output.
-    """
+    """Parameters, minus twice the log-likelihood there, and the normal equations in units of the noise."""
 
     place: Float[Array, " parameters"]
     cost: Float[Array, ""]
-    deviation: Float[Array, " outputs"]
     gradient: Float[Array, " parameters"]
     information: Float[Array, "parameters parameters"]
 
 
 class _State(eqx.Module):
+    """The best point, the step from there and what it promises, and what share the promises have been falling to."""
+
     point: _Point
-    damping: Float[Array, ""]
+    step: Float[Array, " parameters"]
     decrement: Float[Array, ""]
+    rate: Float[Array, ""]
+    damping: Float[Array, ""]
     steps: Int[Array, ""]
+    settled: Bool[Array, ""]
     done: Bool[Array, ""]
 
 
@@ -113,66 +121,75 @@ def refine_one(
     counts = jnp.maximum(jnp.sum(one.kept, axis=0), 1.0)
     # Where samples of single outputs are missing, the outputs are weighed one by one.
     together = jnp.all(one.kept == one.kept[:, :1])
-    offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
 
     def matrices(vector):
         return structure.matrices(unpack(by_vectors(vector), scales, logarithmic, sizes), dofs)
 
-    def simulated(vector, x0):
+    u, measured, kept = (by_blocks(signal) for signal in (one.u, one.y, one.kept))
+    constants = jnp.broadcast_to(jnp.repeat(jnp.eye(outputs), SHORT_BLOCK, axis=1)[:, :, None], (outputs, *kept.shape))
+
+    def lifted(vector):
         system = setting.system(*matrices(vector))
-        return respond(system.A, system.B, system.C, system.D, one.u, x0, block=SHORT_BLOCK), system
+        return lift_by_channel(system.A, system.B, system.C, system.D)
 
-    def sensitivities(place):
-        vector, x0, offset = jnp.split(place, [entries, entries + 2 * dofs])
+    def residual(place, system):
+        _, x0, offset = jnp.split(place, [entries, entries + 2 * dofs])
+        y, starts = respond_in_blocks(system, u, x0)
+        return (y + jnp.repeat(offset, SHORT_BLOCK)[:, None] - measured) * kept, starts
 
-        def run(vector):
-            y, system = simulated(vector, x0)
-            return y, (y, system)
-
-        J, (y, system) = jax.jacfwd(run, has_aux=True)(vector)
-        free = free_response(system.A, system.C, samples)
-        e = (y + offset - one.y)[:, :, None]
-        return jnp.concatenate([J, free, offsets, e], axis=2) * one.kept[:, :, None]
-
-    def weighed(place, rows):
-        width = rows.shape[2]
-        flat = rows.reshape(samples, -1)
-        products = (flat.T @ flat).reshape(outputs, width, outputs, width)
-        covariance = products[:, -1, :, -1] / jnp.sqrt(counts[:, None] * counts[None, :])
+    def likelihood(products):
+        """Noise covariance from the residual's products, what whitens it, and minus twice the log-likelihood."""
+        covariance = products / jnp.sqrt(counts[:, None] * counts[None, :])
         covariance = jnp.where(together | jnp.eye(outputs, dtype=bool), covariance, 0.0)
         lower = jnp.linalg.cholesky(covariance + FLOOR**2 * jnp.eye(outputs))
-        white = jsl.solve_triangular(lower, jnp.eye(outputs), lower=True)
-        table = jnp.einsum("op,opcd->cd", (white.T @ white), products.transpose(0, 2, 1, 3))
-        cost = jnp.sum(2 * counts * jnp.log(jnp.diag(lower)))
-        return _Point(place, cost, jnp.diag(covariance), table[:-1, -1], table[:-1, :-1])
+        return covariance, lower, jnp.sum(2 * counts * jnp.log(jnp.diag(lower)))
 
     def at(place):
-        return weighed(place, sensitivities(place))
+        vector = place[:entries]
+        system = lifted(vector)
+        along = jax.tree_util.tree_map(lambda X: jnp.moveaxis(X, -1, 0), jax.jacfwd(lifted)(vector))
+        e, starts = residual(place, system)
+        rows = jnp.concatenate([sensitivities_in_blocks(system, along, u, starts), constants, e[None]]) * kept
+        width = len(rows)
+        flat = rows.reshape(width * outputs, -1)
+        products = (flat @ flat.T).reshape(width, outputs, width, outputs)
+        _, lower, cost = likelihood(products[-1, :, -1, :])
+        white = jsl.solve_triangular(lower, jnp.eye(outputs), lower=True)
+        table = jnp.einsum("op,codp->cd", white.T @ white, products)
+        return _Point(place, cost, table[:-1, -1], table[:-1, :-1])
 
     def advance(state):
-        step, decrement = _step(state.point, state.damping)
-        trial = at(state.point.place + step)
+        trial = at(state.point.place + state.step)
         better = jnp.isfinite(trial.cost) & (trial.cost <= state.point.cost + DECREMENT)
-        # Rounding is all that is left where the step itself promises next to nothing.
-        rest = ~better & (decrement < 100 * DECREMENT)
-        lost = ~jnp.isfinite(decrement) | (state.damping > MOST_DAMPING)
+        # Rounding is all that is left where the step itself promised next to nothing.
+        rest = ~better & (state.decrement < 100 * DECREMENT)
         point = jax.tree_util.tree_map(lambda new, old: jnp.where(better, new, old), trial, state.point)
         lower = jnp.where(state.damping > 1e-7, state.damping / jnp.where(state.steps > 0, 30, 1), 0.0)
         damping = jnp.where(better, lower, jnp.maximum(10 * state.damping, 1e-4))
-        settled = better & (decrement < DECREMENT) & (state.damping < 1e-3)
-        done = (state.steps > 0) & (settled | rest | lost)
-        after = _State(point, damping, decrement, state.steps + 1, done)
+        step, decrement = _step(point, damping)
+        # What would be left after the next step, if that brings as much as the last one did.
+        rate = jnp.minimum(decrement / state.decrement, 1.0)
+        near = better & (state.steps > 0) & (decrement * rate < DECREMENT) & (damping < 1e-3)
+        lost = ~jnp.isfinite(decrement) | (damping > MOST_DAMPING)
+        step = jnp.where(rest | lost, 0.0, step)
+        after = _State(point, step, decrement, rate, damping, state.steps + 1, near | rest, near | rest | lost)
         return jax.tree_util.tree_map(lambda new, old: jnp.where(state.done, old, new), after, state)
 
     # The first step is none: it evaluates the start, so that all of this is compiled once.
     place = jnp.concatenate([first, jnp.zeros(2 * dofs + outputs)])
-    begin = _Point(place, jnp.asarray(jnp.inf), jnp.ones(outputs), 0 * place, jnp.eye(len(place)))
-    state = _State(
-        begin, jnp.asarray(FIRST_DAMPING), jnp.asarray(jnp.inf), jnp.asarray(0), ~jnp.all(jnp.isfinite(first))
-    )
+    infinite, no = jnp.asarray(jnp.inf), jnp.asarray(False)
+    begin = _Point(place, infinite, 0 * place, jnp.eye(len(place)))
+    unusable = ~jnp.all(jnp.isfinite(first))
+    damping = jnp.asarray(FIRST_DAMPING)
+    state = _State(begin, 0 * place, infinite, jnp.asarray(1.0), damping, jnp.asarray(0), no, unusable)
     state = jax.lax.while_loop(lambda s: ~s.done & (s.steps < max_steps), advance, state)
     point = state.point
-    vector = point.place[:entries]
+    # The last step is so small that its derivatives need not be renewed.
+    place = jnp.where(state.settled, point.place + state.step, point.place)
+    vector = place[:entries]
+    e, _ = residual(place, lifted(vector))
+    products = e.reshape(outputs, -1) @ e.reshape(outputs, -1).T
+    covariance, _, cost = likelihood(products)
 
     def stacked(vector):
         return jnp.concatenate([triangle_vector(X) for X in matrices(vector)])
@@ -182,8 +199,6 @@ def refine_one(
     inverse = jnp.linalg.inv(point.information / scale[:, None] / scale[None, :] + 1e-14 * jnp.eye(len(scale)))
     inverse = (inverse / scale[:, None] / scale[None, :])[:entries, :entries]
     total = jnp.sum(one.kept)
-    _, x0, offset = jnp.split(point.place, [entries, entries + 2 * dofs])
-    e = (simulated(vector, x0)[0] + offset - one.y) * one.kept
     found = unpack(by_vectors(vector), scales, logarithmic, sizes)
     values = [jnp.linalg.eigvalsh(block) for block in found]
     least = jnp.min(jnp.stack([value[0] / value[-1] for value in values if len(value) > 1] or [jnp.ones(())]))
@@ -193,12 +208,12 @@ def refine_one(
     return Refined(
         matrices(vector),
         T @ inverse @ T.T * total / (total - len(scale)),
-        point.deviation,
-        _portmanteau(e, one.kept, counts),
+        jnp.diag(covariance),
+        _portmanteau(from_blocks(e, samples), one.kept, counts),
         least,
-        state.decrement,
+        state.decrement * state.rate,
         state.steps,
-        state.done & (state.decrement < 100 * DECREMENT) & jnp.isfinite(point.cost),
+        state.settled & jnp.isfinite(cost) & (cost <= point.cost + DECREMENT),
     )
 
 

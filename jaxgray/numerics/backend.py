@@ -7,7 +7,13 @@ import importlib.metadata
 import os
 import re
 
-LEAST_THREADS = 4
+LEAST_THREADS = 16
+"""Threads of the pool for each device. A program that waits with fewer than eight batches of decompositions at once
+leaves room for a second one beside it."""
+
+THREADS_OF_A_PROGRAM = 8
+
+DEVICES_FLAG = "xla_force_host_platform_device_count"
 
 EMITTER_FLAG = "xla_cpu_use_fusion_emitters"
 
@@ -27,15 +33,34 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def widen() -> None:
-    """Ask for a pool of so many threads where there are fewer cores, and the user has not set its size.
+def host_devices() -> int:
+    """Devices into which `XLA_FLAGS` splits the CPU; 1 where it says nothing of them."""
+    counts = re.findall(rf"--{DEVICES_FLAG}=(\d+)", os.environ.get("XLA_FLAGS", ""))
+    return max(int(counts[-1]), 1) if counts else 1
 
-    With two threads or fewer, the backend (seen with jaxlib 0.9.2 and 0.10.1) can wait for ever on a loop whose body
-    holds batched linear algebra: every thread waits for work that none is left to do. Two such programs at once, from
-    threads of Python, did so with four as well, at six coordinates: they run one after the other.
+
+def threads() -> int:
+    """Threads of the backend's pool, as far as its environment says."""
+    said = os.environ.get("NPROC", "")
+    return int(said) if said.isdigit() and int(said) > 0 else cores()
+
+
+def programs_at_once(devices: int) -> int:
+    """Programs that threads of Python may run side by side on so many devices without waiting for each other for ever,
+    and that have a core each."""
+    return max(1, min(cores(), threads() // THREADS_OF_A_PROGRAM) // devices)
+
+
+def widen() -> None:
+    """Ask for a pool of so many threads for each device where there are fewer cores, unless the user has set its size.
+
+    Batched decompositions (LAPACK within jaxlib 0.9.2 and 0.10.1) share their batch with the pool and wait, each on a
+    thread of that pool, until their share is done. Where as many of them run at once as there are threads, all wait for
+    ever. Seen with two threads in a loop over batches, with four in two programs at once, and on four host devices.
     """
-    if cores() < LEAST_THREADS:
-        os.environ.setdefault("NPROC", str(LEAST_THREADS))
+    wanted = LEAST_THREADS * host_devices()
+    if cores() < wanted:
+        os.environ.setdefault("NPROC", str(wanted))
 
 
 def compile_sooner() -> None:
