@@ -36,7 +36,6 @@ from jaxgray.identification.prediction import Batch  # noqa: E402
 from jaxgray.identification.preparation import prepare  # noqa: E402
 from jaxgray.identification.refine import refine  # noqa: E402
 from jaxgray.identification.structure import structure_of  # noqa: E402
-from jaxgray.numerics.runtime import side_by_side  # noqa: E402
 
 H = 4 * data.REFERENCE_TIME
 OPTIONS = {"time_constants": 0.1, "block_rows": 6}
@@ -79,7 +78,7 @@ def refined_side_by_side(begun, signals):
     size = max(1, CHUNK_SAMPLES // len(signals[0].u))
     chunks = [rows[k : k + size] for k in range(0, len(rows), size)]
     stacked = [jax.tree_util.tree_map(lambda *X: np.stack(X), *(d for d, _ in chunk)) for chunk in chunks]
-    return lambda: list(side_by_side(lambda arrays: jax.device_get(program(arrays)), stacked))
+    return lambda: jax.device_get([program(arrays) for arrays in stacked])
 
 
 def shared(records, samples, devices, folder):

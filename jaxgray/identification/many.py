@@ -13,7 +13,7 @@ from ..mechanics.drives import AbstractDrive
 from ..numerics.linear_algebra import triangle
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import ready, side_by_side
+from ..numerics.runtime import ready
 from ..records import Record, check_compatible
 from .compression import padded_samples
 from .filter_bank import pole
@@ -198,15 +198,14 @@ def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> 
         dynamic += dynamic[-1:] * (size - len(picked))
         program, sharding = _program(tuple(devices), rows, weight, form, every_coordinate, static)
         stacked = jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *dynamic)
-        return jax.device_get(program(jax.device_put(stacked, sharding)))
+        return program(jax.device_put(stacked, sharding))
 
-    progress.stage("identifying", fraction=0.0)
-    firsts = range(0, len(usable), size)
+    # One after the other: two programs with batches of decompositions at once may wait for ever (`numerics.backend`).
     parts = []
-    for part in side_by_side(chunk, firsts, len(devices)):
-        parts.append(part)
-        progress.stage("identifying", fraction=min(len(parts) * size / len(usable), 1.0))
-    joined = jax.tree_util.tree_map(lambda *leaves: np.concatenate(leaves), *parts)
+    for first in range(0, len(usable), size):
+        progress.stage("identifying", fraction=first / len(usable))
+        parts.append(chunk(first))
+    joined = jax.tree_util.tree_map(lambda *leaves: np.concatenate([np.asarray(x) for x in leaves]), *parts)
     return jax.tree_util.tree_map(lambda leaf: leaf[: len(usable)], joined)
 
 

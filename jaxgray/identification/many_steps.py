@@ -30,7 +30,7 @@ from .refine import LIFTS
 from .structure import Structure
 
 MAX_STEPS = 40
-FIRST_DAMPING = 1e-3
+FIRST_DAMPING = 1e-5
 MOST_DAMPING = 1e8
 LAGS = 25
 """Lags over which the residual's whiteness is judged."""

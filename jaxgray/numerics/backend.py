@@ -7,11 +7,8 @@ import importlib.metadata
 import os
 import re
 
-LEAST_THREADS = 16
-"""Threads of the pool for each device. A program that waits with fewer than eight batches of decompositions at once
-leaves room for a second one beside it."""
-
-THREADS_OF_A_PROGRAM = 8
+LEAST_THREADS = 4
+"""Threads of the pool for each device. More would get in each other's way: idle ones look for work before they sleep."""
 
 DEVICES_FLAG = "xla_force_host_platform_device_count"
 
@@ -37,18 +34,6 @@ def host_devices() -> int:
     """Devices into which `XLA_FLAGS` splits the CPU; 1 where it says nothing of them."""
     counts = re.findall(rf"--{DEVICES_FLAG}=(\d+)", os.environ.get("XLA_FLAGS", ""))
     return max(int(counts[-1]), 1) if counts else 1
-
-
-def threads() -> int:
-    """Threads of the backend's pool, as far as its environment says."""
-    said = os.environ.get("NPROC", "")
-    return int(said) if said.isdigit() and int(said) > 0 else cores()
-
-
-def programs_at_once(devices: int) -> int:
-    """Programs that threads of Python may run side by side on so many devices without waiting for each other for ever,
-    and that have a core each."""
-    return max(1, min(cores(), threads() // THREADS_OF_A_PROGRAM) // devices)
 
 
 def widen() -> None:

@@ -1,15 +1,11 @@
 """What must hold before anything is computed: 64-bit floats, and a collector of cycles that does not disturb."""
 
-import concurrent.futures
 import contextlib
 import ctypes
 import gc
 import threading
-from collections.abc import Callable, Iterable, Iterator
 
 import jax
-
-from .backend import programs_at_once
 
 CROWDED = 0.7
 """Share of the memory areas that a process may have from which compiled programs are dropped."""
@@ -61,17 +57,6 @@ def give_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
     except (OSError, AttributeError, TypeError):
         return
-
-
-def side_by_side(function: Callable, items: Iterable, devices: int = 1) -> Iterator:
-    """`function` of every item in order, the first alone, so that it compiles once, then as many at once as may be.
-
-    **Arguments:** `function`: runs one program on `devices` devices and fetches what it gives.
-    """
-    items = list(items)
-    yield from map(function, items[:1])
-    with concurrent.futures.ThreadPoolExecutor(programs_at_once(devices)) as pool:
-        yield from pool.map(function, items[1:])
 
 
 @contextlib.contextmanager
