@@ -8,7 +8,7 @@ import os
 import re
 
 LEAST_THREADS = 4
-"""Threads of the pool for each device. More would get in each other's way: idle ones look for work before they sleep."""
+"""Threads of the pool for each device. More get in each other's way: idle ones look for work before they sleep."""
 
 DEVICES_FLAG = "xla_force_host_platform_device_count"
 
