@@ -95,6 +95,11 @@ class Layout:
             mask[self.first + at] = shape and k == len(candidate.terms) - 1
         return mask
 
+    def last(self, candidate: Candidate) -> np.ndarray:
+        """Which parameters are of the last term."""
+        owners = np.array([k for k, _ in self.terms], int)
+        return np.concatenate([np.zeros(self.first, bool), owners == len(candidate.terms) - 1])
+
     def limited(self, change: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """A step shortened so that no positive scale (a length, a gap, a time) more than doubles or halves."""
         now, wanted = theta[self.first :][self.scales], change[self.first :][self.scales]
@@ -214,6 +219,7 @@ def refit(
     tolerance: float = DECREMENT,
     abandon: float = np.inf,
     shapes_after: int = 0,
+    last_after: int = 0,
 ) -> Refit | None:
     """Refit a candidate with a given whitening chain.
 
@@ -221,7 +227,8 @@ def refit(
     not move (all entries of the user's own model), default those of the setup; `max_steps`; `tolerance`: stop when a
     step would lower the sum of squares by less, in units of the noise variance; `abandon`: sum of squares above
     which, from the second step on, a fit that falls slowly is given up unless its next step promises to pass below;
-    `shapes_after`: steps before the shape of the last term moves, not only its amplitudes.
+    `shapes_after`: steps before the shape of the last term moves, not only its amplitudes; `last_after`: steps before
+    anything of it moves.
 
     **Returns:** a `Refit`, or None where the start cannot be simulated.
     """
@@ -229,7 +236,7 @@ def refit(
     layout = Layout(setup, candidate)
     fixed = np.zeros(layout.size, bool)
     fixed[: layout.entries] = setup.held if held is None else held
-    always, still = fixed, fixed | layout.shape_of_last(candidate)
+    masks = fixed | layout.last(candidate), fixed | layout.shape_of_last(candidate), fixed
     step = _Step(setup, layout, fixed)
     theta = layout.vector(candidate)
     equations = Equations(simulator, data, chain, layout)
@@ -239,7 +246,7 @@ def refit(
     damping, steps, converged, before, started = 0.0, 0, False, np.inf, now[2]
     while steps < max_steps and damping < 1e6 and not converged:
         steps += 1
-        step.held = fixed = still if steps <= shapes_after else always
+        step.held = fixed = masks[0 if steps <= last_after else 1 if steps <= shapes_after else 2]
         H, g, cost = now[0], now[1], now[2]
         free = np.where(fixed, 0.0, 1.0)
         pinned = H * free[:, None] * free[None, :] + np.diag(fixed * 1.0), g * free
@@ -251,12 +258,20 @@ def refit(
         change = layout.limited(full, theta)
         variance = max(cost / max(now[3], 1), 1e-300)
         decrement = _decrement(change, H, g) / variance
+        if not decrement > -tolerance:
+            # Not a way down: where the data leave a direction open, an undamped step is all rounding.
+            damping = max(10 * damping, 1e-3)
+            continue
+        if decrement < tolerance and fixed is not masks[2]:
+            last_after, shapes_after = 0, shapes_after if fixed is masks[0] else 0
+            continue
         if decrement < tolerance:
             # Damping shortens a step in a flat valley to nothing: the end is where the undamped step is short, too.
             converged = damping == 0.0 or _decrement(step(theta, *pinned, 0.0), *pinned) / variance < 10 * tolerance
             break
         # A fit that still falls fast is further from its end than its next step says.
-        if steps > 2 and cost > SLOW * before and cost - decrement * variance > abandon:
+        slow = steps > 2 and cost > SLOW * before and cost - decrement * variance > abandon
+        if slow and fixed is masks[2]:
             break
         moved = layout.moved(theta, change, candidate)
         trial_candidate = layout.candidate(moved, candidate)
@@ -278,7 +293,7 @@ def refit(
         damping = damping / 10 if damping > 1e-5 else 0.0
     H, _, cost, count, residuals, jacobians = now
     variance = cost / max(count - layout.size, 1)
-    moving = ~always
+    moving = ~masks[2]
     covariance = np.zeros_like(H)
     covariance[np.ix_(moving, moving)] = pseudo_inverse(H[np.ix_(moving, moving)]) * variance
     return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started)

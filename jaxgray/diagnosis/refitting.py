@@ -27,6 +27,9 @@ twice this."""
 STANDING_ALIKE = 10.0
 """Difference of BIC within which two laws that are easily alike count as one class."""
 
+HELD_BACK = 4
+"""Steps for which a term keeps its first size while the linear model gives back what it had taken."""
+
 LITTLE = 0.05
 """Share of the size that linear responses call for, to start from where the whole is worse than nothing."""
 
@@ -237,6 +240,10 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
             )
             if begun is None or (again is not None and again.cost < begun.cost):
                 begun = again
+            if begun is not None and not begun.converged:
+                # Or from all of it, the linear model giving back what it took before the term itself moves.
+                again = refit(bench.simulator, begin, bench.data, chain, last_after=HELD_BACK, **options)
+                begun = again if again is not None and again.cost < begun.cost else begun
         fit = begun
         if fit is None:
             return None

@@ -1,5 +1,7 @@
 """What is said where nothing is hidden, two things are, the law is not in the catalogue, or the record is spoilt."""
 
+import zlib
+
 import hidden
 import numpy as np
 import pytest
@@ -53,6 +55,26 @@ def test_a_delay_and_a_spring_that_hide_each_other_are_both_found(seed, sure):
     cubic = next(f for f in found if f.effect == "cubic_stiffness")
     check_parameter(cubic.parameters["k3"], case.effects[0].parameters["k3"], "k3", str(diagnosis))
     assert sure is None or found[0].effect == sure
+
+
+@pytest.mark.parametrize(
+    "truth, number, rivals",
+    [
+        # The linear model had taken so much of it that no small step leads back.
+        ("fractional_damping", 0, ["actuator_creep", "actuator_lag"]),
+        # The data leave a direction open, in which an undamped step is all rounding.
+        ("bilinear_stiffness", 1, ["constant_force"]),
+    ],
+)
+def test_a_law_is_found_from_where_the_linear_model_has_gone_astray(truth, number, rivals):
+    rng = np.random.default_rng([73201, 0, zlib.crc32(truth.encode()), number])
+    case = hidden.random_case(rng, truth, dofs=(1, 2, 3), samples=3000, excess=(1.5, 4.0))
+    diagnosis = diagnosed(case, only=[truth, *rivals], max_effects=1)
+    (found,) = model_findings(diagnosis)
+    assert found.effect == truth and len(found.members) == 1, str(diagnosis)
+    assert np.all(list(diagnosis.noise_floor.values()) < 1.1 * case.noise), str(diagnosis)
+    for name, true in case.effects[0].parameters.items():
+        check_parameter(found.parameters[name], true, name, str(diagnosis))
 
 
 def test_what_is_not_in_the_catalogue_is_not_given_its_name():
