@@ -87,18 +87,16 @@ class Layout:
         values = [float(candidate.terms[k].values[j]) for k, j in self.terms]
         return np.concatenate([candidate.entries, *candidate.x0, values])
 
-    def shape_of_last(self, candidate: Candidate) -> np.ndarray:
-        """Which parameters are of the last term and not among its amplitudes."""
-        mask = np.zeros(self.size, bool)
-        for at, (k, j) in enumerate(self.terms):
-            shape = not candidate.terms[k].effect.parameters[j].amplitude
-            mask[self.first + at] = shape and k == len(candidate.terms) - 1
-        return mask
-
     def last(self, candidate: Candidate) -> np.ndarray:
         """Which parameters are of the last term."""
         owners = np.array([k for k, _ in self.terms], int)
         return np.concatenate([np.zeros(self.first, bool), owners == len(candidate.terms) - 1])
+
+    def shape_of_last(self, candidate: Candidate) -> np.ndarray:
+        """Which parameters are of the last term and not among its amplitudes."""
+        amplitude = np.zeros(self.size, bool)
+        amplitude[self.first :] = [candidate.terms[k].effect.parameters[j].amplitude for k, j in self.terms]
+        return self.last(candidate) & ~amplitude
 
     def limited(self, change: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """A step shortened so that no positive scale (a length, a gap, a time) more than doubles or halves."""
