@@ -30,6 +30,9 @@ STANDING_ALIKE = 10.0
 HELD_BACK = 4
 """Steps for which a term keeps its first size while the linear model gives back what it had taken."""
 
+CONTACT = frozenset({DeadZoneStiffness.id, EndStop.id})
+"""Laws that differ in their name alone, by how much of the record is spent in contact."""
+
 LITTLE = 0.05
 """Share of the size that linear responses call for, to start from where the whole is worse than nothing."""
 
@@ -188,7 +191,7 @@ def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
     """The attempt under the name that its contact gives it: backlash where the gap is left in more than half of the
     samples, an end stop where in fewer; the law is the same."""
     term = attempt.fit.candidate.terms[-1]
-    if term.effect.id not in (DeadZoneStiffness.id, EndStop.id):
+    if term.effect.id not in CONTACT:
         return attempt
     arm = np.asarray(arm_of(term, stage.plant))
     data = bench.data[0]

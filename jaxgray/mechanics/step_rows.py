@@ -79,7 +79,8 @@ class StepRows(eqx.Module):
         )
 
     def split(self, row):
-        """Motion at the beginning, in the middle, at the end, each quantities × slots, and the new state."""
-        count = self.ending.shape[0]
-        begin, middle, final = (row[k * count : (k + 1) * count].reshape(3, -1) for k in range(3))
+        """Motion at the beginning, in the middle, at the end, each quantities × slots, and the new state; samples last
+        where there are many."""
+        count, many = self.ending.shape[0], row.shape[1:]
+        begin, middle, final = (row[k * count : (k + 1) * count].reshape(3, -1, *many) for k in range(3))
         return begin, middle, final, row[3 * count :]

@@ -128,23 +128,24 @@ def _steps(sampler: Sampler, series: Series, x, z, dsampler, along: Directions):
                 rows, _with_values(sampler.slots, values), sampler.sampling_time, sampler.substeps, sampler.laws
             )
             driven = one.driven(Series(start, rise, here.scheduling, here.change, here.time))
-            new, remembered, f = jax.vmap(one)(xs, zs, driven)
-            return jnp.concatenate([new, remembered.reshape(CHUNK, memory), f], axis=1)
+            new, remembered, f = one(xs, zs, driven)
+            return jnp.concatenate([new, remembered.reshape(memory, CHUNK), f])
 
+        xs, zs = (jnp.moveaxis(X, 0, -1) for X in (xs, zs))
         at = ((sampler.rows, sampler.slots.values), xs, zs, here.start, here.rise)
 
         def tangent(moved, unit, du):
-            dx = jnp.broadcast_to(unit[:size], xs.shape)
-            dz = jnp.broadcast_to(unit[size:].reshape(zs.shape[1:]), zs.shape)
+            dx = jnp.broadcast_to(unit[:size, None], xs.shape)
+            dz = jnp.broadcast_to(unit[size:].reshape(*zs.shape[:-1], 1), zs.shape)
             du = du or (jnp.zeros_like(here.start), jnp.zeros_like(here.rise))
             return jax.jvp(after, at, (moved, dx, dz, *du))[1]
 
         du = tuple(jnp.pad(jnp.moveaxis(d, 1, 0), ((states, 0), (0, 0), (0, 0))) for d in changes)
-        # Samples first, then what is reached, then the direction.
-        return jax.vmap(tangent, out_axes=-1)(dsampler, unit, du)
+        # The direction first, then what is reached, then samples.
+        return jax.vmap(tangent)(dsampler, unit, du)
 
     T = jax.lax.map(chunk, (in_chunks(x), in_chunks(z), jax.tree.map(in_chunks, series), changes))
-    T = T.reshape(-1, states + slots, states + count)[:samples]
+    T = jnp.moveaxis(T, (0, 3, 2, 1), (0, 1, 2, 3)).reshape(-1, states + slots, states + count)[:samples]
     return T[:, :, :states], T[:, :, states:]
 
 

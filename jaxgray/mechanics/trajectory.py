@@ -48,7 +48,8 @@ class Series(eqx.Module):
 
 
 class Sampler(eqx.Module):
-    """One sample of the simulation: (x, z) at its beginning to (x, z) at its end.
+    """One sample of the simulation: (x, z) at its beginning to (x, z) at its end; or many side by side, along a last
+    axis of everything, so that the compiler's loops run along it.
 
     x is the state (q, T q̇) of the plant, T the time of one step; z what the forces remember, slots × memory.
 
@@ -79,23 +80,23 @@ class Sampler(eqx.Module):
         return jnp.zeros((self.slots.arms.shape[0], self.memory))
 
     def driven(self, series: Series) -> tuple[Array, ...]:
-        """What the steps of every sample take from the series, samples first."""
+        """What the steps of every sample take from the series, samples last."""
         share = 1.0 / self.substeps
 
         def read(u):
-            return jnp.where(self.slots.channel >= 0, u[:, jnp.maximum(self.slots.channel, 0)], 0.0)
+            return jnp.where(self.slots.channel[:, None] >= 0, u.T[jnp.maximum(self.slots.channel, 0)], 0.0)
 
         return (
-            series.start @ self.rows.steady.T + share * (series.rise @ self.rows.rising.T),
-            series.rise @ self.rows.steady.T,
-            jnp.concatenate([read(series.start), series.scheduling[:, None]], axis=1),
-            jnp.concatenate([read(series.rise), series.change[:, None]], axis=1),
+            self.rows.steady @ series.start.T + share * (self.rows.rising @ series.rise.T),
+            self.rows.steady @ series.rise.T,
+            jnp.concatenate([read(series.start), series.scheduling[None]]),
+            jnp.concatenate([read(series.rise), series.change[None]]),
             series.time,
         )
 
     def __call__(self, x, z, driven):
         """New x and z, and the forces at the beginning."""
-        begun = (x, z, jnp.zeros(self.slots.arms.shape[0]))
+        begun = (x, z, jnp.zeros((self.slots.arms.shape[0], *x.shape[1:])))
         if isinstance(self.substeps, int) and self.substeps == 1:
             return self._step(0, begun, driven)
         return jax.lax.fori_loop(0, self.substeps, lambda j, state: self._step(j, state, driven), begun)
@@ -105,39 +106,60 @@ class Sampler(eqx.Module):
         base, slope, channels, change, t = driven
         rows, count, share = self.rows, self.slots.arms.shape[0], 1.0 / self.substeps
         h, fraction = self.sampling_time * share, j * share
-        row = jnp.sum(rows.states * x, axis=1) + base + fraction * slope
-        begin, middle, final, after = rows.split(row)
+        begin, middle, final, after = rows.split(_product(rows.states, x) + base + fraction * slope)
 
         def local(s, motion, at, *within):
             u = channels + (fraction + at * share) * change
             now = t + (fraction + at * share) * self.sampling_time
-            return Local(*motion[:, s], rows.compliance[s], u[s], now, u[-1], *within)
+            here = (*motion[:, s], rows.compliance[s], u[s], now, u[-1], *within)
+            return Local(*(jnp.broadcast_to(X, x.shape[1:]) for X in here))
 
         here = [local(s, begin, 0.0) for s in range(count)]
         f0 = self._forces(here, z)
         middle = middle + _by(rows.halfway, f0)
-        free = final[1] + _by(rows.ending, f0)[1] + rows.yielding * f0
+        free = final[1] + _by(rows.ending, f0)[1] + _widened(rows.yielding, f0) * f0
         there = [local(s, middle, 0.5, begin[1, s], free[s], rows.yielding[s]) for s in range(count)]
         f1 = self._forces(there, self._advanced(z, here, there, h / 2))
         if self.memory:
             final = final + _by(rows.ending, f1)
             z = self._advanced(z, here, [local(s, final, 1.0) for s in range(count)], h)
-        return after + jnp.sum(rows.whole * f1, axis=1), z, jnp.where(j == 0, f0, first)
+        return after + _product(rows.whole, f1), z, jnp.where(j == 0, f0, first)
 
     def _forces(self, here: list[Local], z):
         slots = self.slots
-        return jnp.stack([_force(self.laws, slots.law[s], slots.values[s], one, z[s]) for s, one in enumerate(here)])
+
+        def force(s, one):
+            return _each(lambda here, z: _force(self.laws, slots.law[s], slots.values[s], here, z), one, z[s])
+
+        return jnp.stack([force(s, one) for s, one in enumerate(here)])
 
     def _advanced(self, z, before: list[Local], after: list[Local], time):
         if not self.memory:
             return z
         slots = self.slots
-        return jnp.stack(
-            [
-                _advance(self.laws, slots.law[s], slots.values[s], z[s], *both, time)
-                for s, both in enumerate(zip(before, after))
-            ]
-        )
+
+        def advanced(s, *both):
+            return _each(
+                lambda z, *both: _advance(self.laws, slots.law[s], slots.values[s], z, *both, time), z[s], *both
+            )
+
+        return jnp.stack([advanced(s, *both) for s, both in enumerate(zip(before, after))])
+
+
+def _each(function, *arguments):
+    """A function of scalars and vectors, at every sample where samples are the last axis of its arguments."""
+    side_by_side = any(isinstance(X, Local) and jnp.ndim(X.q) for X in arguments)
+    return jax.vmap(function, in_axes=-1, out_axes=-1)(*arguments) if side_by_side else function(*arguments)
+
+
+def _widened(X, like):
+    """With as many last axes of one more as another array has."""
+    return X.reshape(*X.shape, *(1,) * (jnp.ndim(like) - 1))
+
+
+def _product(A, x):
+    """A x, samples last, as sums that the compiler fuses."""
+    return sum(_widened(A[:, k], x) * x[k] for k in range(A.shape[1]))
 
 
 # Functions of their own, so that the laws are traced once and not at every place of the step that asks for a force.
@@ -165,7 +187,7 @@ def _advance(laws, number, p, z, before: Local, after: Local, time):
 
 def _by(response, f):
     """Motion (quantities × slots) that forces make."""
-    return jnp.sum(response * f, axis=1).reshape(3, -1)
+    return _product(response, f).reshape(3, -1, *f.shape[1:])
 
 
 def first_state(plant: Plant, x0, u0, h):
@@ -185,7 +207,8 @@ def trajectory(
         new, remembered, f = sampler(x, z, driven)
         return (new, remembered), (x, z, f)
 
-    return jax.lax.scan(sample, (x0, sampler.rest), sampler.driven(series))[1]
+    driven = jax.tree.map(lambda X: jnp.moveaxis(X, -1, 0), sampler.driven(series))
+    return jax.lax.scan(sample, (x0, sampler.rest), driven)[1]
 
 
 def direct(plant: Plant, arms: Float[Array, "slots dofs"]) -> Float[Array, "outputs slots"]:
