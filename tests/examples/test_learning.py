@@ -16,7 +16,7 @@ def test_a_network_learns_the_force_and_leaves_the_matrices_right(capsys):
 
 
 def test_weights_learned_by_gradient_beat_the_default_on_unseen_records(capsys):
-    found = example("learned_weights").main(["--unseen", "3"])
+    found = example("learned_weights").main(["--unseen", "2", "--steps", "25"])
     weights = np.exp(found["theta"][1:])
     # The phase in which the sensors are shaken, and one in which they are not.
     assert weights[4] < 0.2 * np.median(weights[7:])
@@ -26,12 +26,12 @@ def test_weights_learned_by_gradient_beat_the_default_on_unseen_records(capsys):
 
 def test_a_designed_excitation_shrinks_the_error_bar_as_predicted(capsys):
     design = example("designed_excitation")
-    found = design.main(["--realisations", "100", "--steps", "20"])
+    found = design.main(["--realisations", "60", "--steps", "15"])
     plain, better = ({k: found[name][k][design.CHOSEN] for k in ("predicted", "found")} for name in found)
     assert plain["found"] > 2 * better["found"]
-    # A hundred realisations know a variance to 14 %.
+    # Sixty realisations know a variance to 18 %.
     for part in (plain, better):
-        assert part["predicted"] == pytest.approx(part["found"], rel=0.5)
+        assert part["predicted"] == pytest.approx(part["found"], rel=0.6)
     for part in found.values():
         np.testing.assert_allclose(np.mean(part["u"] ** 2, axis=0), 1.0, rtol=1e-3)
     assert "times smaller" in capsys.readouterr().out
