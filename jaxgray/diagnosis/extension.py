@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..identification.conic import MASS_FLOOR, pseudo_inverse
+from ..identification.conic import MASS_FLOOR, pseudo_inverse, step_inside
 from ..mechanics.effects.base import Term
-from ..numerics.outcomes import ComputationError
-from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
+from ..numerics.positive import ClarabelSolver
 from .equations import Equations
 from .problem import Candidate, Data, Setup, estimated
 from .residual import Chain
@@ -164,7 +163,7 @@ class _Step:
         here = z / unit
         reduced = (reduced + reduced.T) / 2
         held = self.held[inside]
-        dz = self._inside(reduced, slope, here, self.floors / unit[ends], held)
+        dz = step_inside(self.solver, reduced, slope, here, self.floors / unit[ends], self.sizes, held)
         if dz is None:
             return None
         dz = dz * unit
@@ -173,29 +172,6 @@ class _Step:
         step[inside], step[free] = dz, dn
         values = np.clip(theta + step, self._lower, self._upper)
         return values - theta if np.all(np.isfinite(values)) else None
-
-    def _inside(self, quadratic, slope, here, floors, held):
-        """The change that keeps every block above its floor: the plain one where that does."""
-        free = ~held
-        plain = np.zeros(len(here))
-        try:
-            plain[free] = -np.linalg.solve(quadratic[np.ix_(free, free)], slope[free])
-        except np.linalg.LinAlgError:
-            return None
-        if np.all(np.isfinite(plain)) and inside_cone(here + plain, self.sizes, floors):
-            return plain
-        problem = PositiveLeastSquares(
-            quadratic,
-            slope - quadratic @ here,
-            floors,
-            self.sizes,
-            held if held.any() else None,
-            here if held.any() else None,
-        )
-        try:
-            return np.asarray(self.solver(problem)) - here
-        except ComputationError:
-            return None
 
     @property
     def _lower(self):

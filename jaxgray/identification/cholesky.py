@@ -139,10 +139,12 @@ def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, 
     factors = _Factors.of(start.blocks, criterion)
     here = criterion.evaluate(factors.blocks, nuisance)
     normal, damping, steps = factors.normal(here, whitening), FIRST_DAMPING, 1
-    unit = _size(normal)
+    unit, rested = _size(normal), False
     while steps < max_steps and damping < MOST_DAMPING and np.isfinite(normal.cost):
         step, decrement = _step(normal, damping, unit)
         if not np.isfinite(decrement):
+            break
+        if rested and damping <= FIRST_DAMPING and decrement < near * normal.cost / count:
             break
         trial_factors = factors.stepped(step[: factors.entries])
         trial_nuisance = moved(nuisance, step[factors.entries :])
@@ -164,7 +166,7 @@ def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, 
             # What a wrong model leaves is no noise: its correlations would lead astray, its sizes do not.
             renewed = here.whitening(False)
             done = done and np.max(np.abs(np.diag(renewed) / np.diag(whitening) - 1)) < 0.1
-            whitening, normal = renewed, factors.normal(here, renewed)
+            whitening, normal, rested = renewed, factors.normal(here, renewed), True
         if done or here.exact:
             break
         damping = less * damping if damping > 1e-7 else 0.0

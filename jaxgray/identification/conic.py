@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ..numerics.outcomes import RESULTS, ComputationError
-from ..numerics.positive import ClarabelSolver, PositiveLeastSquares
+from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
 from .normal import Criterion, Iterate, Normal, Products, join, moved, part
 
 MASS_FLOOR = 1e-9
@@ -19,6 +19,10 @@ MASS_FLOOR = 1e-9
 
 DECREMENT = 1e-5
 """Stop when a step would change the sum of squares by less than this, in units of the noise variance."""
+
+
+NOTHING = 1e-7
+"""The same for a step that is not even taken: it would move no parameter by a thousandth of its standard error."""
 
 
 class ConicEnd(eqx.Module):
@@ -39,6 +43,31 @@ def pseudo_inverse(H: np.ndarray, threshold: float = 1e-13) -> np.ndarray:
     kept = values > threshold * max(values[-1], 1e-300) * len(values)
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     return inverse / scale[:, None] / scale[None, :]
+
+
+def step_inside(solver, quadratic, slope, here, floors, sizes, held) -> np.ndarray | None:
+    """The step dz that minimises dzᵀ Q dz + 2 dzᵀ s with every block of `here` + dz above its floor.
+
+    **Arguments:** `solver` of semidefinite least squares; `quadratic` Q; `slope` s; `here`; `floors`: least eigenvalue
+    of each block; `sizes` of the blocks; `held`: entries that do not move, None for none.
+
+    **Returns:** the step, the plain one where that stays inside; None where none was found.
+    """
+    free = np.ones(len(here), bool) if held is None else ~held
+    plain = np.zeros(len(here))
+    try:
+        plain[free] = -np.linalg.solve(quadratic[np.ix_(free, free)], slope[free])
+    except np.linalg.LinAlgError:
+        return None
+    if np.all(np.isfinite(plain)) and inside_cone(here + plain, sizes, floors):
+        return plain
+    problem = PositiveLeastSquares(
+        quadratic, slope - quadratic @ here, floors, sizes, held if held is not None and held.any() else None, here
+    )
+    try:
+        return np.asarray(solver(problem)) - here
+    except ComputationError:
+        return None
 
 
 def conic_steps(
@@ -68,7 +97,7 @@ def conic_steps(
     unit = np.concatenate([np.full(n * (n + 1) // 2, np.trace(b) / n) for n, b in zip(sizes, blocks)])
     floors = np.array([MASS_FLOOR if owner == "mass" else 0.0 for owner in criterion.owners])
     solver = ClarabelSolver()
-    damping, decrement, converged = 0.0, np.inf, False
+    damping, decrement, converged, settled = 0.0, np.inf, False, False
     found = criterion.evaluate(blocks, nuisance) if first is None else first
     normal = found.normal(whitening)
     if not np.all(np.isfinite(normal.information)):
@@ -85,10 +114,8 @@ def conic_steps(
         diagonal = np.maximum(np.diag(reduced), 1e-14 * np.max(np.diag(reduced)))
         reduced = (reduced + reduced.T) / 2 + np.diag((damping + 1e-14) * diagonal)
         here = z / unit
-        problem = PositiveLeastSquares(reduced, slope - reduced @ here, floors, sizes, held, here)
-        try:
-            dz = np.asarray(solver(problem)) - here
-        except ComputationError:
+        dz = step_inside(solver, reduced, slope, here, floors, sizes, held)
+        if dz is None:
             damping = max(10 * damping, 1e-3)
             continue
         dn = -inner @ (g[entries:] + H[entries:, :entries] @ (dz * unit))
@@ -97,6 +124,9 @@ def conic_steps(
             continue
         variance = max(float(normal.cost) / count, 1e-300)
         decrement = float(-(2 * slope @ dz + dz @ reduced @ dz) + g[entries:] @ inner @ g[entries:]) / variance
+        if settled and damping == 0.0 and abs(decrement) < NOTHING:
+            converged = True
+            break
         trial_nuisance = moved(nuisance, dn)
         trial_blocks = part(z + dz * unit, sizes)
         trial = criterion.evaluate(trial_blocks, trial_nuisance)
@@ -116,5 +146,6 @@ def conic_steps(
             change = float(np.max(np.abs(ratio - np.eye(len(ratio)))))
             if change > 1e-6:
                 whitening, normal = renewed, trial.normal(renewed)
-        converged = (damping == 0.0 and decrement < DECREMENT and change < 1e-3) or trial.exact
+        settled = change < 1e-3
+        converged = (damping == 0.0 and decrement < DECREMENT and settled) or trial.exact
     return ConicEnd(Iterate(blocks, nuisance, whitening), normal, steps, decrement, converged)
