@@ -16,6 +16,9 @@ ONLY_NOISE = 1.05
 SHOWN = 3
 """Parameters of one effect, and outputs, that a sentence names at most."""
 
+MANY = 4.0
+"""Ratio of an entry to what it should be from which a sentence says how many times it is."""
+
 MODEL_ERRORS = {"mass_error": "mass", "damping_error": "damping", "stiffness_error": "stiffness"}
 
 NAMES = {
@@ -227,7 +230,7 @@ def _rivals(finding: "Finding", names: tuple[str, ...]) -> str:
     others = [m for m in finding.members if (m.effect, m.location) != (finding.effect, finding.location)]
     if finding.status != "equivalent" or not others:
         return ""
-    return ", or " + listed(_titled(m, names) for m in others).replace(" and ", ", or ")
+    return "".join(f", or {_titled(member, names)}" for member in others)
 
 
 def _titled(one, names: tuple[str, ...]) -> str:
@@ -312,17 +315,25 @@ def _hidden(diagnosis: "Diagnosis", causes: int) -> str:
         matrix, r, c = entry_of(shift.name, outputs)
         change, after = abs(shift.before - shift.after), abs(shift.after)
         error = shift.standard_error if shift.standard_error is not None else after / 60
-        return matrix != "" and r == c and after > 3 * error and change > 3 * error and change > 0.01 * after
+        shows = after > 3 * error and change > 3 * error and change > 0.01 * after
+        return matrix != "" and r == c and shows and after > 1e-3 * largest[matrix]
 
+    largest = dict.fromkeys(("mass", "damping", "stiffness"), 0.0)
+    for shift in diagnosis.shifts:
+        matrix = entry_of(shift.name, outputs)[0]
+        if matrix:
+            largest[matrix] = max(largest[matrix], abs(shift.after))
     shifts = [shift for shift in diagnosis.shifts if clear(shift)]
     if not shifts:
         return ""
     most = max(shifts, key=lambda s: abs(s.before / s.after - 1))
     matrix, place, _ = entry_of(most.name, outputs)
     where = f"the {matrix}" + (f" at {place}" if len(outputs) > 1 else "")
-    percent = 100 * (most.before / most.after - 1)
+    ratio = most.before / most.after
+    percent = 100 * (ratio - 1)
+    share = f"{percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in" if ratio < MANY else f"{ratio:.2g} times"
     subject = "It" if causes == 1 else "They"
-    return f"{subject} had been hidden as {percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in {where}."
+    return f"{subject} had been hidden as {share} {where}."
 
 
 def describe(diagnosis: "Diagnosis") -> str:

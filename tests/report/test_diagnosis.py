@@ -9,7 +9,7 @@ import pytest
 from made_diagnosis import FRICTION, GAIN, diagnosis, equivalent, experiment, nothing, wrong_numbers
 from rich.console import Console
 
-from jaxgray.diagnosis.result import Estimate, Finding
+from jaxgray.diagnosis.result import Estimate, Finding, ParameterShift
 from jaxgray.diagnosis.words import NAMES, place_of, title_of, value_text
 from jaxgray.mechanics.effects import CATALOGUE, MODEL_ERRORS, RECORD_FINDINGS
 from jaxgray.report.catalogue import catalogue_document, show_catalogue, unit_pattern
@@ -72,6 +72,25 @@ def test_sentence_of_a_named_cause():
         "Adding it cuts the held-out error by 64 % (61 to 67) and leaves only noise. "
         "It had been hidden as +13 % in the damping at y1."
     )
+
+
+def test_an_effect_that_outweighed_an_entry_is_said_as_a_multiple():
+    shifts = (
+        ParameterShift("mass[0,0]", 2.1, 2.0, 0.01),
+        ParameterShift("damping[0,0]", 39.0, 3.0, 0.02),
+        ParameterShift("damping[1,1]", 50.0, 1e-6, 1e-7),
+    )
+    said = diagnosis(shifts=shifts).sentence
+    assert said.endswith("It had been hidden as 13 times the damping at y1."), said
+
+
+def test_rivals_between_two_coordinates_keep_both():
+    alike = equivalent()
+    (finding,) = alike.findings
+    members = tuple(dataclasses.replace(m, location="y1-y2") for m in finding.members)
+    finding = dataclasses.replace(finding, location="y1-y2", members=members)
+    said = dataclasses.replace(alike, findings=(finding,)).sentence
+    assert "constant force between y1 and y2" in said and ", or sensor offset between y1 and y2" in said, said
 
 
 @pytest.mark.parametrize(
