@@ -20,7 +20,7 @@ from ..numerics.sensitivity import (
     from_blocks,
     lift_by_channel,
     respond_in_blocks,
-    sensitivities_in_blocks,
+    response_products,
 )
 from .cholesky import pack, unpack
 from .conic import DECREMENT
@@ -126,7 +126,6 @@ def refine_one(
         return structure.matrices(unpack(by_vectors(vector), scales, logarithmic, sizes), dofs)
 
     u, measured, kept = (by_blocks(signal) for signal in (one.u, one.y, one.kept))
-    constants = jnp.broadcast_to(jnp.repeat(jnp.eye(outputs), SHORT_BLOCK, axis=1)[:, :, None], (outputs, *kept.shape))
 
     def lifted(vector):
         system = setting.system(*matrices(vector))
@@ -134,8 +133,8 @@ def refine_one(
 
     def residual(place, system):
         _, x0, offset = jnp.split(place, [entries, entries + 2 * dofs])
-        y, starts = respond_in_blocks(system, u, x0)
-        return (y + jnp.repeat(offset, SHORT_BLOCK)[:, None] - measured) * kept, starts
+        y, _ = respond_in_blocks(system, u, x0)
+        return (y + jnp.repeat(offset, SHORT_BLOCK)[:, None] - measured) * kept
 
     def likelihood(products):
         """Noise covariance from the residual's products, what whitens it, and minus twice the log-likelihood."""
@@ -145,14 +144,8 @@ def refine_one(
         return covariance, lower, jnp.sum(2 * counts * jnp.log(jnp.diag(lower)))
 
     def at(place):
-        vector = place[:entries]
-        system = lifted(vector)
-        along = jax.tree_util.tree_map(lambda X: jnp.moveaxis(X, -1, 0), jax.jacfwd(lifted)(vector))
-        e, starts = residual(place, system)
-        rows = jnp.concatenate([sensitivities_in_blocks(system, along, u, starts), constants, e[None]]) * kept
-        width = len(rows)
-        flat = rows.reshape(width * outputs, -1)
-        products = (flat @ flat.T).reshape(width, outputs, width, outputs)
+        vector, x0, offset = jnp.split(place, [entries, entries + 2 * dofs])
+        products = response_products(lifted, vector, x0, offset, u, measured, kept)
         _, lower, cost = likelihood(products[-1, :, -1, :])
         white = jsl.solve_triangular(lower, jnp.eye(outputs), lower=True)
         table = jnp.einsum("op,codp->cd", white.T @ white, products)
@@ -187,7 +180,7 @@ def refine_one(
     # The last step is so small that its derivatives need not be renewed.
     place = jnp.where(state.settled, point.place + state.step, point.place)
     vector = place[:entries]
-    e, _ = residual(place, lifted(vector))
+    e = residual(place, lifted(vector))
     products = e.reshape(outputs, -1) @ e.reshape(outputs, -1).T
     covariance, _, cost = likelihood(products)
 

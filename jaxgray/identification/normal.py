@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from ..mechanics.statespace import StateSpace
 from ..numerics.lifting import free_response
 from ..numerics.linear_algebra import duplication, symmetric_vector
+from ..numerics.sensitivity import by_blocks, lift_by_channel, response_products
 from .prediction import Batch, Nuisance, Setting, prediction_errors, weighed
 from .structure import Structure
 
@@ -153,6 +154,8 @@ class Criterion(eqx.Module):
 
     def products(self, blocks: list[Array], nuisance: Nuisance) -> Products:
         """Inner products of errors and sensitivities; in the innovations form the errors are white already."""
+        if nuisance.noise is None and len(self.batch.y) == 1:
+            return _of_one_record(blocks, nuisance, self)
         plain = Iterate(blocks, nuisance, np.eye(self.batch.y.shape[2]))
         return _gram(*sensitivities(plain, self), self.batch.kept)
 
@@ -190,10 +193,29 @@ def sensitivities(
     return e, J
 
 
+@eqx.filter_jit
+def _of_one_record(blocks: list[Array], nuisance: Nuisance, criterion: Criterion) -> Products:
+    """`Criterion.products` where there is one record and noise at the outputs alone."""
+    batch = criterion.batch
+    u, y, kept = (by_blocks(signal[0]) for signal in (batch.u, batch.y, batch.kept))
+    offset = None if nuisance.offset is None else nuisance.offset[0]
+
+    def lifted(vector):
+        system = criterion.setting.system(*criterion.matrices(part(vector, criterion.sizes)))
+        return lift_by_channel(system.A, system.B, system.C, system.D)
+
+    table = response_products(lifted, join(blocks), nuisance.x0[0], offset, u, y, kept)
+    return Products(table.transpose(1, 3, 0, 2), _counts(batch.kept))
+
+
+def _counts(kept):
+    return jnp.maximum(jnp.sum(kept, axis=(0, 1)), 1.0)
+
+
 @jax.jit
 def _gram(e, J, kept):
     rows = jnp.concatenate([J, e[..., None]], axis=3)
     outputs, columns = rows.shape[2:]
     flat = rows.reshape(-1, outputs * columns)
     table = (flat.T @ flat).reshape(outputs, columns, outputs, columns).transpose(0, 2, 1, 3)
-    return Products(table, jnp.maximum(jnp.sum(kept, axis=(0, 1)), 1.0))
+    return Products(table, _counts(kept))

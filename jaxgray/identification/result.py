@@ -240,7 +240,8 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
     if refinement.result != RESULTS.successful:
         result.append(
             f"The refinement stopped after {refinement.steps[0]} + {refinement.steps[1]} steps before it had "
-            "settled; try another time constant, or fix entries that you know."
+            "settled: the record may hardly determine some entries. Excite nearer to the natural frequencies, "
+            "try another time constant, or fix entries that you know."
         )
     result += [f"Parameter {name} does not move any output; fix it or excite it." for name in spread.unmoved]
     for text in spread.weak_directions:

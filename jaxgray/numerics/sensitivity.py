@@ -5,6 +5,8 @@ for every channel and sample of a block, a column for every block. The order of 
 all of them do not see.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -79,3 +81,34 @@ def sensitivities_in_blocks(
     direct = jnp.concatenate([direct, jnp.zeros((states, *direct.shape[1:]))])
     # A sum of a few products, which the compiler melts into the loop that adds it; a product of matrices it would not.
     return direct + sum(c[None, :, None] * heads[:, None, :, k] for k, c in enumerate(system.observability.T))
+
+
+def response_products(
+    lifted: Callable[[Array], LiftedSystem],
+    vector: Float[Array, " parameters"],
+    x0: Float[Array, " states"],
+    offset: Float[Array, " outputs"] | None,
+    u: Float[Array, "channel_block blocks"],
+    y: Float[Array, "channel_block blocks"],
+    kept: Float[Array, "channel_block blocks"],
+) -> Float[Array, "columns outputs columns outputs"]:
+    """Inner products over the samples of what a response is sensitive to, and of its errors.
+
+    **Arguments:** `lifted`: the system of some parameters, by `lift_by_channel`; `vector`: these; `x0`: first state;
+    `offset` of the outputs, or None for none; `u`, `y`: input and measured output by blocks; `kept`: 1 for samples that
+    count, else 0.
+
+    **Returns:** one column for each parameter, state and offset, the error ŷ − y last.
+    """
+    system = lifted(vector)
+    along = jax.tree_util.tree_map(lambda X: jnp.moveaxis(X, -1, 0), jax.jacfwd(lifted)(vector))
+    run, starts = respond_in_blocks(system, u, x0)
+    outputs = len(kept) // SHORT_BLOCK
+    columns = [sensitivities_in_blocks(system, along, u, starts)]
+    if offset is not None:
+        run = run + jnp.repeat(offset, SHORT_BLOCK)[:, None]
+        units = jnp.repeat(jnp.eye(outputs), SHORT_BLOCK, axis=1)
+        columns.append(jnp.broadcast_to(units[:, :, None], (outputs, *kept.shape)))
+    rows = jnp.concatenate([*columns, ((run - y) * kept)[None]]) * kept
+    flat = rows.reshape(len(rows) * outputs, -1)
+    return (flat @ flat.T).reshape(len(rows), outputs, len(rows), outputs)

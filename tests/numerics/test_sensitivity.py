@@ -10,6 +10,7 @@ from jaxgray.numerics.sensitivity import (
     from_blocks,
     lift_by_channel,
     respond_in_blocks,
+    response_products,
     sensitivities_in_blocks,
 )
 
@@ -46,3 +47,16 @@ def test_responses_and_derivatives_by_blocks_are_those_sample_by_sample():
     expected = jnp.concatenate(jax.jacfwd(by_sample, argnums=(0, 1))(p, x0), axis=2)
     np.testing.assert_allclose(jnp.moveaxis(J, 0, -1), expected, rtol=1e-10, atol=1e-10)
     np.testing.assert_array_equal(from_blocks(by_blocks(u), SAMPLES), u)
+
+    # Inner products of all that, with an offset and samples that do not count.
+    offset, measured = rng.standard_normal(OUTPUTS), rng.standard_normal((SAMPLES, OUTPUTS))
+    kept = (rng.random((SAMPLES, OUTPUTS)) < 0.9) * 1.0
+    constants = np.broadcast_to(np.eye(OUTPUTS), (SAMPLES, OUTPUTS, OUTPUTS))
+    error = by_sample(p, x0) + offset - measured
+    rows = np.concatenate([expected, constants, error[:, :, None]], axis=2) * kept[:, :, None]
+    products = jax.jit(
+        lambda p: response_products(
+            lambda p: lift_by_channel(*matrices(p)), p, x0, offset, *map(by_blocks, (u, measured, kept))
+        )
+    )(p)
+    np.testing.assert_allclose(products, np.einsum("toc,tpd->codp", rows, rows), rtol=1e-8, atol=1e-8)
