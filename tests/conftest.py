@@ -7,8 +7,6 @@ import tempfile
 
 # The threads of BLAS and of jax would take the few cores from each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Compiling is most of the work: in one piece and without what takes long it is a fifth shorter.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1 --xla_cpu_parallel_codegen_split_count=1")
 # Cached binaries are announced at length on the terminal otherwise.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 # In the environment, so that commands and notebooks that tests start share it too.
@@ -20,6 +18,13 @@ import jax  # noqa: E402
 
 # Sets what the backend reads when it starts, for the processes that tests start too.
 import jaxgray  # noqa: E402, F401
+from jaxgray.numerics.backend import flags_are_known  # noqa: E402
+
+# In one piece and without what takes long, compiling is a fifth shorter; what users get is as fast or faster.
+SOONER = "--xla_backend_optimization_level=1 --xla_cpu_parallel_codegen_split_count=1"
+flags = os.environ.get("XLA_FLAGS", "")
+if flags_are_known() and (not flags or flags.startswith("-")):
+    os.environ["XLA_FLAGS"] = f"{flags} {SOONER}".strip()
 
 jax.config.update("jax_enable_x64", True)
 # Tracing makes objects by the hundred thousand, none of them garbage yet.

@@ -15,7 +15,7 @@ from .grown import Accepted, Growth, held_out_run, stage_of_candidate
 from .judgement import ACCEPTED, at_bound
 from .problem import Candidate
 from .pruning import prune
-from .refitting import CONTACT, Attempt, attempts_of, compared
+from .refitting import Attempt, attempts_of, compared
 from .rejudging import rejudge
 from .residual import white_chain
 from .result import Rejected
@@ -138,10 +138,10 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
     attempts = attempts_of(bench, stage, shortlist(screening, closer), chain, growth.rejected)
     ranked = compared(bench, stage, list(attempts.values()))
     if ranked:
-        heard = {effect for effect, _ in attempts} | {one.effect for one in growth.rejected[before:]}
-        heard |= CONTACT if heard & CONTACT else set()
-        others = unheard(standing_for(ranked[0].name[0]) - heard, screening, closer)
-        late = [instead_of(bench, ranked[0], scores, growth.rejected) for scores in others]
+        tried = set(attempts) | {(one.effect, one.location) for one in growth.rejected[before:]}
+        ids = standing_for(ranked[0].name[0]) - {effect for effect, _ in tried}
+        others = unheard(ids, screening, closer, tried)
+        late = [instead_of(bench, stage, ranked[0], scores, growth.rejected) for scores in others]
         if any(late):
             ranked = compared(bench, stage, ranked + [attempt for attempt in late if attempt is not None])
     ranked = simplified(ranked)

@@ -7,15 +7,21 @@ from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .judgement import ACCEPTED
 from .pursuit import ROUGH, pursued
-from .refitting import HOPELESS, Attempt, criterion_of
+from .refitting import CONTACT, HOPELESS, Attempt, by_contact, criterion_of
 from .result import Rejected
 from .screening import Score, Screening
 from .shortlist import same_start
+from .stage import Stage
 
 
-def unheard(ids: frozenset[str], screening: Screening, closer: Screening) -> list[list[Score]]:
-    """Candidates of the given laws, each at the place where it explains most, with the shapes to start from."""
-    listed = []
+def unheard(
+    ids: frozenset[str], screening: Screening, closer: Screening, tried: set[tuple[str, str]]
+) -> list[list[Score]]:
+    """Candidates of the given laws, each at the place where it explains most, with the shapes to start from.
+
+    Of the laws that differ in their name alone, one is heard at a place; `tried`: laws and places of the round so far.
+    """
+    listed, contacts = [], {place for law, place in tried if law in CONTACT}
     for effect_id in sorted(ids):
         scores: list[Score] = []
         for table in (closer.scores, screening.scores, screening.first):
@@ -24,12 +30,17 @@ def unheard(ids: frozenset[str], screening: Screening, closer: Screening) -> lis
                 continue
             if not scores or (scores[0].shape.place.name == best.shape.place.name and not same_start(best, scores[0])):
                 scores.append(best)
-        if scores:
-            listed.append(scores[:2])
+        if not scores or (effect_id in CONTACT and scores[0].shape.place.name in contacts):
+            continue
+        if effect_id in CONTACT:
+            contacts.add(scores[0].shape.place.name)
+        listed.append(scores[:2])
     return listed
 
 
-def instead_of(bench: Bench, best: Attempt, scores: list[Score], rejected: list[Rejected]) -> Attempt | None:
+def instead_of(
+    bench: Bench, stage: Stage, best: Attempt, scores: list[Score], rejected: list[Rejected]
+) -> Attempt | None:
     """The refit of a law that stands in the place of the best one, from where the best one's refit ended: parameters
     of the same name begin with the same values. None where it ends far behind."""
     name = scores[0].shape.effect.id, scores[0].shape.place.name
@@ -62,4 +73,4 @@ def instead_of(bench: Bench, best: Attempt, scores: list[Score], rejected: list[
         return None
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
     end = pursued(bench, found[1])
-    return Attempt(found[0], end, chain_of(bench, end))
+    return by_contact(bench, Attempt(found[0], end, chain_of(bench, end)), stage)

@@ -331,7 +331,11 @@ def _hidden(diagnosis: "Diagnosis", causes: int) -> str:
     where = f"the {matrix}" + (f" at {place}" if len(outputs) > 1 else "")
     ratio = most.before / most.after
     percent = 100 * (ratio - 1)
-    share = f"{percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in" if ratio < MANY else f"{ratio:.2g} times"
+    share = (
+        f"{percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in"
+        if ratio < MANY
+        else f"{ratio:.{0 if ratio >= 9.95 else 1}f} times"
+    )
     subject = "It" if causes == 1 else "They"
     return f"{subject} had been hidden as {share} {where}."
 

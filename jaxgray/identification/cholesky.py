@@ -161,12 +161,12 @@ def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, 
         # Less damping only for steps that kept what they promised: a bold one may leave for another minimum.
         less = 0.25 if normal.cost - trial_normal.cost > FAITHFUL * decrement else 1.0
         factors, nuisance, here, normal = trial_factors, trial_nuisance, trial, trial_normal
-        done = done and damping <= FIRST_DAMPING
+        done, rested = done and damping <= FIRST_DAMPING, settling
         if settling:
             # What a wrong model leaves is no noise: its correlations would lead astray, its sizes do not.
             renewed = here.whitening(False)
             done = done and np.max(np.abs(np.diag(renewed) / np.diag(whitening) - 1)) < 0.1
-            whitening, normal, rested = renewed, factors.normal(here, renewed), True
+            whitening, normal = renewed, factors.normal(here, renewed)
         if done or here.exact:
             break
         damping = less * damping if damping > 1e-7 else 0.0

@@ -8,7 +8,7 @@ few, and its optimality is that of the constrained problem, dual included.
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
@@ -19,7 +19,6 @@ MASS_FLOOR = 1e-9
 
 DECREMENT = 1e-5
 """Stop when a step would change the sum of squares by less than this, in units of the noise variance."""
-
 
 NOTHING = 1e-7
 """The same for a step that is not even taken: it would move no parameter by a thousandth of its standard error."""
@@ -45,7 +44,15 @@ def pseudo_inverse(H: np.ndarray, threshold: float = 1e-13) -> np.ndarray:
     return inverse / scale[:, None] / scale[None, :]
 
 
-def step_inside(solver, quadratic, slope, here, floors, sizes, held) -> np.ndarray | None:
+def step_inside(
+    solver: ClarabelSolver,
+    quadratic: Float[np.ndarray, "variables variables"],
+    slope: Float[np.ndarray, " variables"],
+    here: Float[np.ndarray, " variables"],
+    floors: Float[np.ndarray, " blocks"],
+    sizes: tuple[int, ...],
+    held: Bool[np.ndarray, " variables"] | None,
+) -> Float[np.ndarray, " variables"] | None:
     """The step dz that minimises dzᵀ Q dz + 2 dzᵀ s with every block of `here` + dz above its floor.
 
     **Arguments:** `solver` of semidefinite least squares; `quadratic` Q; `slope` s; `here`; `floors`: least eigenvalue
@@ -54,11 +61,13 @@ def step_inside(solver, quadratic, slope, here, floors, sizes, held) -> np.ndarr
     **Returns:** the step, the plain one where that stays inside; None where none was found.
     """
     free = np.ones(len(here), bool) if held is None else ~held
+    scale = np.sqrt(np.maximum(np.diag(quadratic), np.finfo(float).tiny))
     plain = np.zeros(len(here))
     try:
-        plain[free] = -np.linalg.solve(quadratic[np.ix_(free, free)], slope[free])
+        scaled = (quadratic / scale[:, None] / scale[None, :])[np.ix_(free, free)]
+        plain[free] = -np.linalg.solve(scaled, (slope / scale)[free]) / scale[free]
     except np.linalg.LinAlgError:
-        return None
+        plain[:] = np.nan
     if np.all(np.isfinite(plain)) and inside_cone(here + plain, sizes, floors):
         return plain
     problem = PositiveLeastSquares(

@@ -168,9 +168,9 @@ def candidates(
 ) -> Candidate:
     """`candidate` over the grid τ × i, on the host; the leading axes of the result are the grid's.
 
-    Compiled once for every τ. The loop over τ stays on the host, one after the other: a traced loop gains
-    nothing, and two programs with batches of small decompositions at once can wait for each other's threads without end
-    (see `numerics.backend`).
+    Two compiled programs serve every τ, the second started when the first has ended. The loop over τ stays on the host,
+    one after the other: a traced loop gains nothing, and two programs with batches of small decompositions at once can
+    wait for each other's threads without end (see `numerics.backend`).
     """
 
     def at(k):

@@ -58,8 +58,13 @@ def compile_sooner() -> None:
     if flags and not flags.startswith("-"):
         # The name of a file with flags.
         return
-    if EMITTER_FLAG not in flags and EMITTER_VERSIONS[0] <= _release("jaxlib") < EMITTER_VERSIONS[1]:
+    if EMITTER_FLAG not in flags and flags_are_known():
         os.environ["XLA_FLAGS"] = f"{flags} --{EMITTER_FLAG}=false".strip()
+
+
+def flags_are_known() -> bool:
+    """Whether this release of jaxlib is among those whose flags were tried."""
+    return EMITTER_VERSIONS[0] <= _release("jaxlib") < EMITTER_VERSIONS[1]
 
 
 def _release(package: str) -> tuple[int, ...]:

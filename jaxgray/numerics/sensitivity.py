@@ -109,6 +109,6 @@ def response_products(
         run = run + jnp.repeat(offset, SHORT_BLOCK)[:, None]
         units = jnp.repeat(jnp.eye(outputs), SHORT_BLOCK, axis=1)
         columns.append(jnp.broadcast_to(units[:, :, None], (outputs, *kept.shape)))
-    rows = jnp.concatenate([*columns, ((run - y) * kept)[None]]) * kept
+    rows = jnp.concatenate([*columns, (run - y)[None]]) * kept
     flat = rows.reshape(len(rows) * outputs, -1)
     return (flat @ flat.T).reshape(len(rows), outputs, len(rows), outputs)

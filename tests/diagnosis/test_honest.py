@@ -38,6 +38,22 @@ def test_two_effects_are_both_found():
     assert all(any(explains(f, effect) for f in found) for effect in case.effects), str(diagnosis)
 
 
+def test_a_delay_and_a_spring_that_hide_each_other_are_both_found():
+    # A record of a campaign in which each effect alone brought no free run nearer, and neither was found. No record of
+    # one coordinate tells a delay of the input from one of the sensor.
+    pair, rng = ("cubic_stiffness", "input_delay"), np.random.default_rng([71012, 2, 1])
+    case = hidden.random_pair(rng, pair=pair, dofs=(1, 2, 3), samples=3000, excess=(1.5, 4.0))
+    diagnosis = diagnosed(case, only=["cubic_stiffness", "actuator_lag", "sensor_delay", "input_delay"])
+    found = model_findings(diagnosis)
+    assert len(found) == 2 and diagnosis.verdict == "equivalent", str(diagnosis)
+    (delay,) = [f for f in found if f.effect != "cubic_stiffness"]
+    assert {m.effect for m in delay.members} == {"input_delay", "sensor_delay"}, str(diagnosis)
+    assert all(any(explains(f, effect) for f in found) for effect in case.effects), str(diagnosis)
+    assert np.all(list(diagnosis.noise_floor.values()) < 1.1 * case.noise), str(diagnosis)
+    cubic = next(f for f in found if f.effect == "cubic_stiffness")
+    check_parameter(cubic.parameters["k3"], case.effects[0].parameters["k3"], "k3", str(diagnosis))
+
+
 def test_a_law_is_found_from_where_the_linear_model_has_gone_astray():
     # A record of a campaign: the linear model had taken so much of it that no small step leads back.
     truth = "fractional_damping"

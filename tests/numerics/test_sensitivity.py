@@ -48,15 +48,13 @@ def test_responses_and_derivatives_by_blocks_are_those_sample_by_sample():
     np.testing.assert_allclose(jnp.moveaxis(J, 0, -1), expected, rtol=1e-10, atol=1e-10)
     np.testing.assert_array_equal(from_blocks(by_blocks(u), SAMPLES), u)
 
-    # Inner products of all that, with an offset and samples that do not count.
+    # Inner products of all that, with and without an offset, where some samples do not count.
     offset, measured = rng.standard_normal(OUTPUTS), rng.standard_normal((SAMPLES, OUTPUTS))
     kept = (rng.random((SAMPLES, OUTPUTS)) < 0.9) * 1.0
     constants = np.broadcast_to(np.eye(OUTPUTS), (SAMPLES, OUTPUTS, OUTPUTS))
-    error = by_sample(p, x0) + offset - measured
-    rows = np.concatenate([expected, constants, error[:, :, None]], axis=2) * kept[:, :, None]
-    products = jax.jit(
-        lambda p: response_products(
-            lambda p: lift_by_channel(*matrices(p)), p, x0, offset, *map(by_blocks, (u, measured, kept))
-        )
-    )(p)
-    np.testing.assert_allclose(products, np.einsum("toc,tpd->codp", rows, rows), rtol=1e-8, atol=1e-8)
+    laid = [by_blocks(signal) for signal in (u, measured, kept)]
+    for level, columns in ((offset, [expected, constants]), (None, [expected])):
+        error = by_sample(p, x0) + (0.0 if level is None else level) - measured
+        rows = np.concatenate([*columns, error[:, :, None]], axis=2) * kept[:, :, None]
+        products = response_products(lambda p: lift_by_channel(*matrices(p)), p, x0, level, *laid)
+        np.testing.assert_allclose(products, np.einsum("toc,tpd->codp", rows, rows), rtol=1e-8, atol=1e-8)

@@ -74,14 +74,14 @@ def test_sentence_of_a_named_cause():
     )
 
 
-def test_an_effect_that_outweighed_an_entry_is_said_as_a_multiple():
+@pytest.mark.parametrize("before, said", [(39.0, "13 times"), (13.5, "4.5 times"), (700.0, "233 times")])
+def test_an_effect_that_outweighed_an_entry_is_said_as_a_multiple(before, said):
     shifts = (
         ParameterShift("mass[0,0]", 2.1, 2.0, 0.01),
-        ParameterShift("damping[0,0]", 39.0, 3.0, 0.02),
+        ParameterShift("damping[0,0]", before, 3.0, 0.02),
         ParameterShift("damping[1,1]", 50.0, 1e-6, 1e-7),
     )
-    said = diagnosis(shifts=shifts).sentence
-    assert said.endswith("It had been hidden as 13 times the damping at y1."), said
+    assert diagnosis(shifts=shifts).sentence.endswith(f"It had been hidden as {said} the damping at y1.")
 
 
 def test_rivals_between_two_coordinates_keep_both():
