@@ -42,7 +42,8 @@ def instead_of(
     bench: Bench, stage: Stage, best: Attempt, scores: list[Score], rejected: list[Rejected]
 ) -> Attempt | None:
     """The refit of a law that stands in the place of the best one, from where the best one's refit ended: parameters
-    of the same name begin with the same values. None where it ends far behind."""
+    of the same name begin with the same values; under the name that its contact gives it. None where it ends far
+    behind."""
     name = scores[0].shape.effect.id, scores[0].shape.place.name
     bench.progress.stage(f"refitting {name[0]} at {name[1]}")
     chain, fit = best.chain, best.fit

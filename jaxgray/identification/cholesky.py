@@ -144,6 +144,7 @@ def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, 
         step, decrement = _step(normal, damping, unit)
         if not np.isfinite(decrement):
             break
+        # The steps over the cone take this one, and renew the weights as they go.
         if rested and damping <= FIRST_DAMPING and decrement < near * normal.cost / count:
             break
         trial_factors = factors.stepped(step[: factors.entries])

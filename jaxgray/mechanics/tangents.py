@@ -145,7 +145,7 @@ def _steps(sampler: Sampler, series: Series, x, z, dsampler, along: Directions):
         return jax.vmap(tangent)(dsampler, unit, du)
 
     T = jax.lax.map(chunk, (in_chunks(x), in_chunks(z), jax.tree.map(in_chunks, series), changes))
-    T = jnp.moveaxis(T, (0, 3, 2, 1), (0, 1, 2, 3)).reshape(-1, states + slots, states + count)[:samples]
+    T = T.transpose(0, 3, 2, 1).reshape(-1, states + slots, states + count)[:samples]
     return T[:, :, :states], T[:, :, states:]
 
 
