@@ -18,8 +18,9 @@ LITTLE = 3.0
 
 
 def prune(bench: Bench, growth: Growth) -> None:
-    """Drop a term that the newer ones have made needless; else put simpler laws in the place of older ones."""
-    if len(growth.accepted) > 1 and not _dropped(bench, growth):
+    """Drop a term that the newer ones have made needless; else put simpler laws in the place of those that hardly
+    differ from them."""
+    if len(growth.accepted) < 2 or not _dropped(bench, growth):
         _simplify(bench, growth)
 
 
@@ -45,17 +46,19 @@ def _dropped(bench: Bench, growth: Growth) -> bool:
 
 
 def _simplify(bench: Bench, growth: Growth) -> None:
-    """A law whose further parameters only stood for what was found later gives way to the simpler one that it
-    contains."""
+    """A law whose further parameters explain nothing beside the others gives way to the simpler one that it contains,
+    begun from where it ended."""
     known = {effect.id: effect for effect in bench.catalogue}
-    for k, accepted in enumerate(growth.accepted[:-1]):
+    for k, accepted in enumerate(growth.accepted):
         term = growth.fit.candidate.terms[k]
         for simpler in (known[name] for name in term.effect.contains if name in known):
             values = dict(zip((p.name for p in term.effect.parameters), np.array(term.values, dtype=float)))
+            # The width over which a sign turns is nothing where the law with more in it has none.
+            values = {p.name: 0.0 for p in simpler.parameters if not p.counts} | values
             named = all(p.name in values for p in simpler.parameters)
             if not named or not _doubtful(bench, growth, k, simpler):
                 continue
-            plain = Term(simpler, term.place, np.array([values[p.name] for p in simpler.parameters]))
+            plain = Term(simpler, term.place, np.array([values[p.name] for p in simpler.parameters], dtype=float))
             terms = tuple(plain if j == k else t for j, t in enumerate(growth.fit.candidate.terms))
             found = _instead(bench, growth, growth.fit.candidate.with_terms(terms))
             if found is None:
@@ -64,7 +67,7 @@ def _simplify(bench: Bench, growth: Growth) -> None:
             shape = dataclasses.replace(accepted.attempt.score.shape, effect=simpler)
             if ratio >= max(accepted.attempt.score.shape.free - shape.free, 1) * np.log(rows):
                 continue
-            why = f"the same as {simpler.id} with a parameter that explains nothing beside what was found later"
+            why = f"the same as {simpler.id} with a parameter that explains nothing beside the others"
             growth.rejected.append(Rejected(*accepted.attempt.name, float(ratio), why))
             score = dataclasses.replace(accepted.attempt.score, shape=shape)
             attempt = dataclasses.replace(accepted.attempt, score=score)

@@ -189,7 +189,7 @@ def _followed(
 
 def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
     """The attempt under the name that its contact gives it: backlash where the gap is left in more than half of the
-    samples, an end stop where in fewer; the law is the same."""
+    samples, an end stop where in fewer; the law is the same. Under its own where the other is not looked for."""
     term = attempt.fit.candidate.terms[-1]
     if term.effect.id not in CONTACT:
         return attempt
@@ -198,7 +198,7 @@ def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
     q = bench.simulator.motion(attempt.fit.candidate, data)[0][: data.samples, : len(arm)]
     contact = np.mean(np.abs(q @ arm) > float(term.values[1]))
     effect = DeadZoneStiffness() if contact > 0.5 else EndStop()
-    if effect.id == term.effect.id:
+    if effect.id == term.effect.id or effect.id not in {one.id for one in bench.catalogue}:
         return attempt
     renamed = Term(effect, term.place, term.values)
     candidate = attempt.fit.candidate

@@ -104,7 +104,8 @@ def _run(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps
     )
 
 
-@eqx.filter_jit
+# Most of a refit's time goes here: compiled with full optimisation whatever `XLA_FLAGS` asks of everything else.
+@eqx.filter_jit(compiler_options={"xla_backend_optimization_level": 3})
 def _run_and_derivative(plant, x0, start, end, slots, along, sampling_time, laws, scheduling, substeps):
     return run_and_tangents(
         plant, x0, start, end, slots, along, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps

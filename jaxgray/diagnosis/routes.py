@@ -72,7 +72,10 @@ def begin(
         )
     if route == "force equation":
         search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
-        return force_diagnosis(search, identification)
+        # What the force equation does not hear, a free run may that is poor, but not without use.
+        if search.taken or identification is None or _fit(identification) < POOR:
+            return force_diagnosis(search, identification)
+        return identification
     if failure is not None:
         raise failure
     return identification
@@ -96,7 +99,7 @@ def route_of(records: list[Record], identification: Identification | None, drive
         return "free run"
     if identification is None:
         return "force equation"
-    fit = float(np.mean([one.fit_percent for one in identification.estimation]))
+    fit = _fit(identification)
     mass, errors = np.diag(identification.mass), identification.standard_errors
     undetermined = errors is not None and np.any(np.diag(errors["mass"]) > UNDETERMINED * np.abs(mass))
     if not np.any(identification.stiffness) and fit < USABLE:
@@ -104,6 +107,11 @@ def route_of(records: list[Record], identification: Identification | None, drive
     if fit < POOR or (undetermined and fit < USABLE):
         return "force equation"
     return "free run"
+
+
+def _fit(identification: Identification) -> float:
+    """Mean fit [%] of the free run."""
+    return float(np.mean([one.fit_percent for one in identification.estimation]))
 
 
 def is_single_sine(record: Record) -> bool:

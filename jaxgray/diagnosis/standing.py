@@ -16,6 +16,15 @@ STANDING = (
 )
 """Laws that are easily alike: one of them is ruled out only by more, and never unheard."""
 
+LEVEL = 0.01
+"""Probability at which chance alone makes further parameters of a law pay."""
+
+CLEARLY = float(np.sqrt(scipy.special.chdtri(1, LEVEL)))
+"""The same in standard errors of one parameter."""
+
+SPECIAL = {("bouc_wen_hysteresis", "dahl_friction")}
+"""Laws that contain another under other names: Dahl's friction is A = Fc/x_d, beta = 1/x_d, gamma = 0."""
+
 
 def standing_for(effect_id: str) -> frozenset[str]:
     """Ids of the laws that are easily taken for one."""
@@ -37,9 +46,10 @@ def simplified(ranked: list[Attempt]) -> list[Attempt]:
 
 def needless(rival: Attempt, best: Attempt) -> bool:
     """Whether a rival is the best law at its place with more parameters, which do not pay (likelihood ratio) or are
-    within two standard errors of nothing."""
+    near nothing, both at a level that allows for the several laws with more in them that are tried."""
     small, large = best.score.shape, rival.score.shape
-    if rival.name[1] != best.name[1] or small.effect.id not in large.effect.contains:
+    special = (large.effect.id, small.effect.id) in SPECIAL
+    if rival.name[1] != best.name[1] or not (special or small.effect.id in large.effect.contains):
         return False
     terms, known = rival.fit.candidate.terms, {p.name for p in small.effect.parameters}
     at = next(k for k, t in enumerate(terms) if (t.effect.id, t.place.name) == rival.name)
@@ -48,7 +58,7 @@ def needless(rival: Attempt, best: Attempt) -> bool:
     end = len(rival.fit.covariance) - later
     errors = np.sqrt(np.maximum(np.diag(rival.fit.covariance)[end - len(own) : end], 0.0))
     further = [(float(term.values[j]), e) for j, e in zip(own, errors) if term.effect.parameters[j].name not in known]
-    if further and all(abs(value) < 2 * error for value, error in further):
+    if not special and further and all(abs(value) < CLEARLY * error for value, error in further):
         return True
     ratio = best.criterion - best.penalty - (rival.criterion - rival.penalty)
-    return ratio < scipy.special.chdtri(max(large.free - small.free, 1), 0.05)
+    return ratio < scipy.special.chdtri(max(large.free - small.free, 1), LEVEL)

@@ -9,7 +9,7 @@ from .base import AbstractForceEffect, Parameter
 SLOWEST = 1e-100
 """Least velocity that is divided by, so that no value of a parameter makes a NaN."""
 
-WIDTH = 0.005
+WIDTH = 0.001
 """Velocity over which the sign turns, as a share of the typical velocity."""
 
 
