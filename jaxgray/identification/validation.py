@@ -27,7 +27,7 @@ class Fit:
     rmse: Float[np.ndarray, " outputs"]
 
 
-FEEDBACK = 1e-3
+FEEDBACK = 1e-4
 """Probability at which a correlation with future inputs is said: most records are open loop, and a fit that bends to
 the colour of the noise leaves a little of the kind."""
 
@@ -102,6 +102,13 @@ def _follows(e: np.ndarray, u: np.ndarray, own: np.ndarray, lags: range, pairs: 
     return _statistic(c, own, n)[0] > STANDS_OUT * max(_statistic(x, own, n)[0] for x in far)
 
 
+def _without_jumps(x: np.ndarray) -> np.ndarray:
+    """A signal limited to four standard deviations of its usual samples, of unit mean square."""
+    usual = 4 * 1.48 * np.median(np.abs(x))
+    calm = np.clip(x, -usual, usual) if usual > 0 else x
+    return calm / max(np.sqrt(np.mean(calm**2)), 1e-300)
+
+
 def residual_test(
     residual: Float[np.ndarray, "samples outputs"],
     u: Float[np.ndarray, "samples inputs"],
@@ -135,15 +142,15 @@ def residual_test(
     late = early = at_once = False
     innovations = np.stack([whiten_by_ar(e[:, k]) for k in range(outputs)], axis=1)
     innovations = innovations / np.maximum(np.sqrt(np.mean(innovations**2, axis=0)), 1e-300)
+    # One outlier that is left agrees by chance with whatever an input did just then.
+    steady = np.stack([_without_jumps(innovations[:, k]) for k in range(outputs)], axis=1)
     for j in range(u.shape[1]):
         centred = u[:, j] - np.mean(u[:, j])
         w = whiten_by_ar(centred)
         w = w / max(np.sqrt(np.mean(w**2)), 1e-300)
         own = _correlation(w, w, lags)
         # Without the rare jumps of a reference, in which what is fed back would drown.
-        usual = 4 * 1.48 * np.median(np.abs(w))
-        calm = np.clip(w, -usual, usual) if usual > 0 else w
-        calm = calm / max(np.sqrt(np.mean(calm**2)), 1e-300)
+        calm = _without_jumps(w)
         calm_own = _correlation(calm, calm, lags)
         for k in range(outputs):
             c = _correlation(e[:, k], w, lags)
@@ -155,8 +162,8 @@ def residual_test(
             pairs = outputs * u.shape[1]
             late |= _chance(c[lags + 1 :], own[lags:], n) * pairs < 0.01
             for reach in (lags, NEAR):
-                early |= _follows(innovations[:, k], calm, calm_own[lags:], range(-reach, 0), pairs)
-            at_once |= _follows(innovations[:, k], calm, calm_own[lags:], range(0, 1), pairs)
+                early |= _follows(steady[:, k], calm, calm_own[lags:], range(-reach, 0), pairs)
+            at_once |= _follows(steady[:, k], calm, calm_own[lags:], range(0, 1), pairs)
     feedback = early or (at_once and not late)
     return ResidualTest(auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, feedback, early)
 
