@@ -20,7 +20,7 @@ import jax  # noqa: E402
 import jaxgray  # noqa: E402, F401
 from jaxgray.numerics.backend import flags_are_known  # noqa: E402
 
-# In one piece and without LLVM's optimisation, compiling takes 40 % of its time; what users get runs faster.
+# In one piece and without LLVM's optimisation, compiling takes half of its time; what users get runs faster.
 SOONER = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 flags = os.environ.get("XLA_FLAGS", "")
 if flags_are_known() and (not flags or flags.startswith("-")):

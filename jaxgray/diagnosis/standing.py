@@ -46,7 +46,8 @@ def simplified(ranked: list[Attempt]) -> list[Attempt]:
 
 def needless(rival: Attempt, best: Attempt) -> bool:
     """Whether a rival is the best law at its place with more parameters, which do not pay (likelihood ratio) or are
-    near nothing, both at a level that allows for the several laws with more in them that are tried."""
+    near nothing, both at 1 %, since several laws with more in them are tried. Only the ratio speaks where the names of
+    the parameters differ."""
     small, large = best.score.shape, rival.score.shape
     special = (large.effect.id, small.effect.id) in SPECIAL
     if rival.name[1] != best.name[1] or not (special or small.effect.id in large.effect.contains):
