@@ -63,11 +63,13 @@ def attempts_of(
     names = {_name(scores[0]) for scores in listed}
     inside = [any((simpler, place) in names for simpler in law.contains) for law, place in map(_law, listed)]
     fits = _outright(bench, stage, [s for s, nested in zip(listed, inside) if not nested], chain, rejected)
+    bases: dict[tuple[str, str], _Base] = {}
     for scores in (s for s, nested in zip(listed, inside) if nested):
         law, place = _law(scores)
-        bases = [fits[simpler, place] for simpler in law.contains if (simpler, place) in fits]
-        if bases:
-            better = _beyond(bench, bases[0], scores, rejected)
+        base = next(((simpler, place) for simpler in law.contains if (simpler, place) in fits), None)
+        if base is not None:
+            bases[base] = bases[base] if base in bases else _Base.of(bench, *fits[base])
+            better = _beyond(bench, bases[base], scores, rejected)
             fits |= {} if better is None else {_name(scores[0]): better}
         else:
             fits |= _outright(bench, stage, [scores], chain, rejected)
@@ -126,19 +128,33 @@ def _outright(
     return fits
 
 
-def _beyond(
-    bench: Bench, base: tuple[Score, Refit], scores: list[Score], rejected: list[Rejected]
-) -> tuple[Score, Refit] | None:
+@dataclass(frozen=True)
+class _Base:
+    """The refit of a law that others contain, under the chain that they are refitted with; `most`: the criterion from
+    which one of them pays too little."""
+
+    score: Score
+    fit: Refit
+    chain: Chain
+    most: float
+
+    @classmethod
+    def of(cls, bench: Bench, score: Score, fit: Refit) -> "_Base":
+        chain = chain_of(bench, fit)
+        # With the same samples counted as what is compared with it.
+        again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=3, tolerance=ROUGH)
+        fit = fit if again is None else again
+        # Noise at the forces may hide what a law is worth.
+        most = criterion_of(bench, score, fit) + (STANDING_ALIKE if chain.ratio == 0.0 else HOPELESS)
+        return cls(score, fit, chain, most)
+
+
+def _beyond(bench: Bench, base: _Base, scores: list[Score], rejected: list[Rejected]) -> tuple[Score, Refit] | None:
     """The best refit of a law from that of a simpler one which it contains, None where its further parameters pay too
-    little; unless noise at the forces may hide what they are worth."""
-    simpler, simple = base
+    little."""
+    simple, chain, most = base.fit, base.chain, base.most
     name = _name(scores[0])
     bench.progress.stage(f"refitting {name[0]} at {name[1]}")
-    chain = chain_of(bench, simple)
-    # Under the same chain and with the same samples counted as what is compared with it.
-    again = refit(bench.simulator, simple.candidate, bench.data, chain, held=bench.held, max_steps=3, tolerance=ROUGH)
-    simple = simple if again is None else again
-    most = criterion_of(bench, simpler, simple) + (STANDING_ALIKE if chain.ratio == 0.0 else HOPELESS)
     last = simple.candidate.terms[-1]
     known = dict(zip((p.name for p in last.effect.parameters), last.values))
     best = None
@@ -157,7 +173,7 @@ def _beyond(
         rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
         return None
     if criterion_of(bench, *best) > most:
-        why = f"explains no more than {simpler.shape.effect.id}, which it contains"
+        why = f"explains no more than {base.score.shape.effect.id}, which it contains"
         rejected.append(Rejected(*name, scores[0].delta_bic, why))
         return None
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
@@ -233,6 +249,9 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
             begin = dated(bench, begin, chain, width_of(fit.candidate.terms[-1]))
         options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
         begun = refit(bench.simulator, begin, bench.data, chain, **options)
+        if begun is not None:
+            # Another start is worth its time only while it promises more than this one gave.
+            options["abandon"] = min(abandon, begun.cost)
         if fit is None and (begun is None or begun.started > nothing):
             # The linear model took so much of the effect upon itself that all must move together, from little.
             little = score.shape.term(LITTLE * score.weights)
@@ -244,6 +263,7 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
             if begun is None or (again is not None and again.cost < begun.cost):
                 begun = again
             if begun is not None and not begun.converged:
+                options["abandon"] = min(abandon, begun.cost)
                 # Or from all of it, the linear model giving back what it took before the term itself moves.
                 again = refit(bench.simulator, begin, bench.data, chain, last_after=HELD_BACK, **options)
                 begun = again if again is not None and again.cost < begun.cost else begun

@@ -11,7 +11,6 @@ factor of the covariance of what is left:
 import dataclasses
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from jaxtyping import Bool, Float
 
 from ..identification.validation import AR_ORDER, ar_coefficients
 from ..mechanics.statespace import StateSpace
+from ..numerics.filters import filtered
 from ..numerics.lifting import respond, respond_many
 from ..numerics.riccati import kalman_gain
 
@@ -53,11 +53,6 @@ class Chain:
     cost: float
     level: Float[np.ndarray, " outputs"]
     worth: float = 0.0
-
-    def whiten(self, X: Float[np.ndarray, "samples outputs columns"]) -> Float[np.ndarray, "samples outputs columns"]:
-        """Residuals or features through the chain, columns apart."""
-        everything = np.ones(X.shape[:2], bool)
-        return np.moveaxis(self.whiten_rows(np.moveaxis(X, 2, 0), everything, everything), 0, 2)
 
     def whiten_rows(
         self,
@@ -102,16 +97,24 @@ def _whiten(A, C, gain, coefficients, lower, kept, used, X):
     return respond_many(step, enter, inverse @ (now * seen + late), inverse * now.T, X * kept) * used
 
 
-@eqx.filter_jit
-def _gain(A, B, C, D, force, output, ratio):
-    Q = B * (ratio * force) @ B.T
-    R = output + D * (ratio * force) @ D.T
-    return kalman_gain(A, C, Q, B * (ratio * force) @ D.T, R)[0]
-
-
 @jax.jit
-def _filtered(A, C, gain, e):
+def _over_ratios(A, B, C, D, force, output, ratios, e, rows):
+    """For every ρ: gain of the innovations filter, and Σ εεᵀ over the rows that count."""
+
+    def one(ratio):
+        push = ratio * force
+        gain = kalman_gain(A, C, B * push @ B.T, B * push @ D.T, output + D * push @ D.T)[0]
+        epsilon = _innovations(A, C, gain, e) * rows[:, None]
+        return gain, epsilon.T @ epsilon
+
+    return jax.lax.map(one, ratios)
+
+
+def _innovations(A, C, gain, e):
     return respond(A - gain @ C, gain, -C, jnp.eye(C.shape[0]), e)
+
+
+_filtered = jax.jit(_innovations)
 
 
 _respond, _kalman_gain = jax.jit(respond), jax.jit(kalman_gain)
@@ -154,21 +157,16 @@ def estimate_chain(
     level = np.mean(e[rows] ** 2, axis=0) if rows.any() else np.ones(e.shape[1])
     V = np.maximum(white_part(e, kept), _FLOOR * np.maximum(level, 1e-300)) + 1e-300
     A, B, C, D = (np.asarray(X) for X in (system.A, system.B, system.C, system.D))
-    tried = []
-    for ratio in RATIOS[RATIOS > 0]:
-        gain = np.asarray(_gain(A, B, C, D, force, np.diag(V), ratio))
-        if not np.all(np.isfinite(gain)):
-            continue
-        epsilon = np.asarray(_filtered(A, C, gain, e))
-        cost = _log_determinant(epsilon[rows])
-        if np.isfinite(cost):
-            tried.append((cost, ratio, gain, epsilon))
+    gains, products = (np.asarray(X) for X in _over_ratios(A, B, C, D, force, np.diag(V), RATIOS[1:], e, rows))
+    costs = np.linalg.slogdet(products / max(int(rows.sum()), 1) + 1e-300 * np.eye(len(C)))[1]
+    tried = np.flatnonzero(np.isfinite(costs) & np.all(np.isfinite(gains), axis=(1, 2)))
     plain = _with_colour(A, C, np.zeros((A.shape[0], C.shape[0])), 0.0, e, e, kept, rows)
-    best = min(range(len(tried)), key=lambda k: tried[k][0], default=0)
+    best = int(np.argmin(costs[tried])) if len(tried) else 0
     chain = plain
     # Coloured noise at the outputs may look like noise at the forces until its colour is allowed for, and then less.
-    for _, ratio, gain, epsilon in [tried[k] for k in (best, best - 2, best - 4, best + 2) if 0 <= k < len(tried)]:
-        with_noise = _with_colour(A, C, gain, ratio, e, epsilon, kept, rows)
+    for k in [tried[k] for k in (best, best - 2, best - 4, best + 2) if 0 <= k < len(tried)]:
+        epsilon = np.asarray(_filtered(A, C, gains[k], e))
+        with_noise = _with_colour(A, C, gains[k], float(RATIOS[1:][k]), e, epsilon, kept, rows)
         chain = with_noise if with_noise.cost < chain.cost else chain
     return dataclasses.replace(chain, worth=plain.cost - chain.cost)
 
@@ -179,8 +177,8 @@ def _with_colour(A, C, gain, ratio, e, epsilon, kept, rows) -> Chain:
     coefficients = np.stack([ar_coefficients(np.where(kept[:, k], epsilon[:, k], 0.0)) for k in range(outputs)])
     level = np.sqrt(np.mean(e[rows] ** 2, axis=0)) if rows.any() else np.ones(outputs)
     level = np.maximum(level, 1e-300)
-    white = Chain(A, C, gain, coefficients, np.eye(outputs), ratio, 0.0, level).whiten(e[:, :, None])[:, :, 0]
-    covariance = white[rows].T @ white[rows] / samples
+    white = np.stack([filtered(a, [1.0], epsilon[:, k])[rows] for k, a in enumerate(coefficients)])
+    covariance = white @ white.T / samples
     covariance = covariance + np.diag(_FLOOR * np.diag(covariance) + 1e-300)
     cost = samples * float(np.linalg.slogdet(covariance)[1]) + 2 * (ratio > 0)
     return Chain(A, C, gain, coefficients, scipy.linalg.cholesky(covariance, lower=True), ratio, cost, level)
@@ -198,10 +196,6 @@ def white_chain(e: Float[np.ndarray, "samples outputs"], kept, system: StateSpac
     cost = rows.sum() * float(np.linalg.slogdet(covariance)[1])
     A, C = np.asarray(system.A), np.asarray(system.C)
     return Chain(A, C, np.zeros((states, outputs)), coefficients, lower, 0.0, cost, np.sqrt(np.diag(covariance)))
-
-
-def _log_determinant(x: Float[np.ndarray, "samples outputs"]) -> float:
-    return float(np.linalg.slogdet(x.T @ x / max(len(x), 1) + 1e-300 * np.eye(x.shape[1]))[1])
 
 
 def smoothed_states(

@@ -128,22 +128,33 @@ class Sampler(eqx.Module):
     def _forces(self, here: list[Local], z):
         slots = self.slots
 
-        def force(s, one):
-            return _each(lambda here, z: _force(self.laws, slots.law[s], slots.values[s], here, z), one, z[s])
+        def force(law, values, z, here):
+            return _each(lambda here, z: _force(self.laws, law, values, here, z), here, z)
 
-        return jnp.stack([force(s, one) for s, one in enumerate(here)])
+        return _slot_by_slot(force, slots.law, slots.values, z, _stacked(here))
 
     def _advanced(self, z, before: list[Local], after: list[Local], time):
         if not self.memory:
             return z
         slots = self.slots
 
-        def advanced(s, *both):
+        def advanced(law, values, z, before, after):
             return _each(
-                lambda z, *both: _advance(self.laws, slots.law[s], slots.values[s], z, *both, time), z[s], *both
+                lambda z, before, after: _advance(self.laws, law, values, z, before, after, time), z, before, after
             )
 
-        return jnp.stack([advanced(s, *both) for s, both in enumerate(zip(before, after))])
+        return _slot_by_slot(advanced, slots.law, slots.values, z, _stacked(before), _stacked(after))
+
+
+def _stacked(here: list[Local]) -> Local:
+    return jax.tree.map(lambda *X: jnp.stack(X), *here)
+
+
+def _slot_by_slot(function, *arguments):
+    """A function of every slot's arguments, as a loop: compiled once for any number of slots."""
+    if len(arguments[0]) == 1:
+        return function(*jax.tree.map(lambda X: X[0], arguments))[None]
+    return jax.lax.map(lambda one: function(*one), arguments)
 
 
 def _each(function, *arguments):

@@ -1,4 +1,5 @@
-"""What the CPU backend is told before it starts: enough threads, and the emitter of loops that compiles sooner.
+"""What the CPU backend is told before it starts: enough threads, the emitter of loops that compiles sooner, and loops
+over samples in one piece.
 
 It reads its environment once, when it starts, which the first array may do. What the user has set there stays.
 """
@@ -14,8 +15,13 @@ DEVICES_FLAG = "xla_force_host_platform_device_count"
 
 EMITTER_FLAG = "xla_cpu_use_fusion_emitters"
 
+LOOP_FLAG = "xla_backend_extra_options"
+
+WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold=1000000000"
+"""Bytes that a loop may touch to be compiled in one piece, with nothing to dispatch between its operations."""
+
 EMITTER_VERSIONS = ((0, 9), (0, 11))
-"""Releases of jaxlib, from the first to below the second, that know the flag; one that does not would end the process.
+"""Releases of jaxlib, from the first to below the second, that know the flags; one that does not would end the process.
 Tried with 0.9.2 and 0.10.1."""
 
 
@@ -23,6 +29,7 @@ def prepare() -> None:
     """Set the environment of the backend, where the user has not."""
     widen()
     compile_sooner()
+    run_sooner()
 
 
 def cores() -> int:
@@ -54,12 +61,23 @@ def compile_sooner() -> None:
     It compiles the programs of a diagnosis in half of the time (18 s against 36 s), and they run as fast (sweep,
     refinement and diagnosis within 10 % either way; the Jacobian of a linear simulation loses 1.5 ms).
     """
+    _add(EMITTER_FLAG, "false")
+
+
+def run_sooner() -> None:
+    """Have loops over samples compiled in one piece, where this release can and the user has not chosen.
+
+    A run with added forces, 4096 samples of two coordinates, takes 0.8 ms in place of 5.6 ms, with its derivatives
+    10.7 ms in place of 17 ms; sweep, refinement and batches are as fast either way.
+    """
+    _add(LOOP_FLAG, WHOLE_LOOPS)
+
+
+def _add(flag: str, value: str) -> None:
     flags = os.environ.get("XLA_FLAGS", "").strip()
-    if flags and not flags.startswith("-"):
-        # The name of a file with flags.
-        return
-    if EMITTER_FLAG not in flags and flags_are_known():
-        os.environ["XLA_FLAGS"] = f"{flags} --{EMITTER_FLAG}=false".strip()
+    # The first: the name of a file with flags.
+    if (not flags or flags.startswith("-")) and flag not in flags and flags_are_known():
+        os.environ["XLA_FLAGS"] = f"{flags} --{flag}={value}".strip()
 
 
 def flags_are_known() -> bool:

@@ -46,20 +46,32 @@ def test_few_cores_get_more_threads_unless_the_user_has_said_how_many(monkeypatc
     assert os.environ["NPROC"] == "16"
 
 
-def test_the_quick_emitter_is_asked_for_where_it_is_known_and_the_user_has_not_chosen(monkeypatch):
-    flag = "--xla_cpu_use_fusion_emitters"
+@pytest.mark.parametrize(
+    ("ask", "flag", "asked", "other"),
+    [
+        ("compile_sooner", "--xla_cpu_use_fusion_emitters", "false", "true"),
+        (
+            "run_sooner",
+            "--xla_backend_extra_options",
+            "xla_cpu_small_while_loop_byte_threshold=1000000000",
+            "xla_cpu_optimize_for_size",
+        ),
+    ],
+)
+def test_flags_are_added_where_they_are_known_and_the_user_has_not_chosen(monkeypatch, ask, flag, asked, other):
+    ask = getattr(backend, ask)
     monkeypatch.setattr(importlib.metadata, "version", lambda package: "0.10.1")
     monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
-    backend.compile_sooner()
-    assert os.environ["XLA_FLAGS"] == f"--xla_force_host_platform_device_count=2 {flag}=false"
-    monkeypatch.setenv("XLA_FLAGS", f"{flag}=true")
-    backend.compile_sooner()
-    assert os.environ["XLA_FLAGS"] == f"{flag}=true"
+    ask()
+    assert os.environ["XLA_FLAGS"] == f"--xla_force_host_platform_device_count=2 {flag}={asked}"
+    monkeypatch.setenv("XLA_FLAGS", f"{flag}={other}")
+    ask()
+    assert os.environ["XLA_FLAGS"] == f"{flag}={other}"
     monkeypatch.setenv("XLA_FLAGS", "/a/file/with/flags")
-    backend.compile_sooner()
+    ask()
     assert os.environ["XLA_FLAGS"] == "/a/file/with/flags"
     # A release that does not know the flag would end the process.
     monkeypatch.delenv("XLA_FLAGS")
     monkeypatch.setattr(importlib.metadata, "version", lambda package: "0.12.1")
-    backend.compile_sooner()
+    ask()
     assert "XLA_FLAGS" not in os.environ
