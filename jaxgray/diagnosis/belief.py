@@ -7,8 +7,8 @@ from ..mechanics.effects.sensor import SensorCrosstalk
 from .bench import Bench
 from .extension import Layout
 from .gain import gain_of
-from .grown import Growth, held_out_run, is_local
-from .judgement import ACCEPTED, SIGNIFICANT, FreeRun, at_bound, overall, significance
+from .grown import Growth, held_out_run, is_local, runs_seen
+from .judgement import ACCEPTED, SIGNIFICANT, at_bound, overall, significance
 from .problem import Data
 from .refitting import Attempt
 
@@ -61,19 +61,17 @@ def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
         share = 100 * (before - after) / (before - 1.0)
         return f"explains only {share:.0f} % of the excess", None, None
     names = bench.names[1]
+    seen = runs_seen(bench, here.e, attempt.fit.residual[0], growth.start.e)
     if is_local(bench, attempt.name[0]) or not bench.validation:
         runs = growth.runs
-        old, new, base = (
-            [FreeRun(e, e, bench.data[0].kept)] for e in (here.e, attempt.fit.residual[0], growth.start.e)
-        )
-        gain = gain_of(old, new, base, floor, names, held_out=False, rng=bench.rng)
+        gain = gain_of(*seen, floor, names, held_out=False, rng=bench.rng)
         # What was fitted to these data always gains a little.
         sure = gain.ci99_lower > 0 and gain.ci95[0] > 0
         return (None if sure else "no sure gain, even on the data of the fit"), gain, runs
     runs = [held_out_run(bench, attempt.fit.candidate, d) for d in bench.validation]
     if not all(np.all(np.isfinite(run.e)) for run in runs):
         return "its free run on held-out data overflows", None, None
-    gain = gain_of(growth.runs, runs, growth.baseline_runs, floor, names, held_out=True, rng=bench.rng)
+    gain = gain_of(growth.runs, runs, growth.baseline_runs, floor, names, held_out=True, rng=bench.rng, seen=seen)
     if not gain.ci99_lower > 0:
         return f"no sure gain on held-out data ({gain.percent:.1f} %, from {gain.ci99_lower:.1f} %)", gain, None
     if growth.credit is not None:

@@ -10,8 +10,7 @@ import dataclasses
 from .bench import Bench
 from .extension import refit
 from .gain import gain_of
-from .grown import Accepted, Credit, Growth, held_out_run, is_local, stage_of_candidate
-from .judgement import FreeRun
+from .grown import Accepted, Credit, Growth, held_out_run, is_local, runs_seen, stage_of_candidate
 from .refitting import Attempt
 from .residual import white_chain
 
@@ -43,7 +42,7 @@ def by_free_run(bench: Bench, growth: Growth, attempt: Attempt) -> Attempt:
 
 def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: tuple[Attempt, ...], floor) -> None:
     """Go on with a finding that has no sure gain yet; `free` is it refitted for the free run, which its gain is of."""
-    data, before, old = bench.data[0], growth.runs, growth.stage.e
+    before, old = growth.runs, growth.stage.e
     if growth.credit is None:
         sure = len(growth.accepted)
         growth.credit = Credit(growth.stage, growth.fit, growth.screening, growth.unexplained, sure)
@@ -51,9 +50,9 @@ def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: 
         before, old = growth.accepted[-1].runs, growth.accepted[-1].attempt.fit.residual[0]
     held_out = not is_local(bench, attempt.name[0]) and bool(bench.validation)
     runs = [held_out_run(bench, free.fit.candidate, d) for d in bench.validation] if held_out else before
-    pairs = [[FreeRun(e, e, data.kept)] for e in (old, free.fit.residual[0], growth.start.e)]
-    pairs = (before, runs, growth.baseline_runs) if held_out else pairs
-    gain = gain_of(*pairs, floor, bench.names[1], held_out=held_out, rng=bench.rng)
+    seen = runs_seen(bench, old, free.fit.residual[0], growth.start.e)
+    pairs = (before, runs, growth.baseline_runs) if held_out else seen
+    gain = gain_of(*pairs, floor, bench.names[1], held_out=held_out, rng=bench.rng, seen=seen if held_out else None)
     growth.accepted.append(Accepted(free, rivals, gain, runs))
     growth.fit, growth.stage = attempt.fit, stage_of_candidate(bench, attempt.fit.candidate)
 

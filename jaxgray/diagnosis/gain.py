@@ -2,7 +2,8 @@
 
 The first is asked of the record at hand: a bootstrap over many short pieces of it. The second is asked of records with
 other inputs of the same kind. Pieces longer than the motion remembers stand for them, and a lightly damped motion
-remembers long: short pieces would make the interval three times too narrow.
+remembers long: short pieces would make the interval three times too narrow. What differs from record to record, and not
+within one, shows in how far the gain on the data of the fit is from this one.
 """
 
 import numpy as np
@@ -30,11 +31,12 @@ def gain_of(
     *,
     held_out: bool,
     rng: np.random.Generator,
+    seen: tuple[list[FreeRun], list[FreeRun], list[FreeRun]] | None = None,
 ) -> Gain:
     """Gain from one model to the next, with its intervals.
 
     **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
-    `names` of outputs; `held_out`; `rng`.
+    `names` of outputs; `held_out`; `rng`; `seen`: the same three on the data of the fit, where those here are not.
 
     **Returns:** a `Gain`.
 
@@ -46,7 +48,12 @@ def gain_of(
     everything = np.arange(len(short))
     pairs = {name: (float(b), float(a)) for name, b, a in zip(names, *short.rmse(everything)[:2])}
     percent = short.percent(everything)
-    return Gain(pairs, percent, _interval(runs, floor, percent), float(np.quantile(draws, 0.01)), held_out)
+    between = 0.0
+    if seen is not None:
+        fitted = _Pieces(seen, floor, 1)
+        between = abs(_left(fitted.percent(np.arange(len(fitted)))) - _left(percent))
+    interval = _interval(runs, floor, percent, between)
+    return Gain(pairs, percent, interval, float(np.quantile(draws, 0.01)), held_out)
 
 
 class _Pieces:
@@ -80,15 +87,16 @@ def _cut(run: FreeRun, each: int) -> list[np.ndarray]:
     return np.array_split(np.flatnonzero(run.kept.any(axis=1)), each)
 
 
-def _interval(runs, floor, percent: float) -> tuple[float, float]:
-    """95 % interval of the gain, by the jackknife over long pieces of the logarithm of the error that is left."""
+def _interval(runs, floor, percent: float, between: float) -> tuple[float, float]:
+    """95 % interval of the gain: of the logarithm of the error that is left, by the jackknife over long pieces, and its
+    difference `between` records in squares."""
     spreads = []
     for wanted in LONG:
         pieces = _Pieces(runs, floor, max(1, -(-wanted // len(runs[0]))))
         everything = np.arange(len(pieces))
         left = [_left(pieces.percent(np.delete(everything, k))) for k in everything]
         spreads.append(np.sqrt((len(left) - 1) * np.var(left)))
-    reach = float(scipy.special.stdtrit(LONG[0] - 1, 0.975)) * max(spreads)
+    reach = np.hypot(float(scipy.special.stdtrit(LONG[0] - 1, 0.975)) * max(spreads), between)
     return tuple(float(100 * (1 - np.exp(_left(percent) + side * reach))) for side in (1, -1))
 
 

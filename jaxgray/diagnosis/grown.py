@@ -94,6 +94,11 @@ def is_local(bench: Bench, effect_id: str) -> bool:
     return effect_id in TIME_LOCAL and not (bench.separate and effect_id != "periodic_disturbance")
 
 
+def runs_seen(bench: Bench, *residuals: np.ndarray) -> tuple[list[FreeRun], ...]:
+    """Free runs on the first record of the fit, one list for each residual that they leave there."""
+    return tuple([FreeRun(e, e, bench.data[0].kept)] for e in residuals)
+
+
 def held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
     """Free run on held-out data, without what belongs to the clock of the estimation record."""
     absent = ("periodic_disturbance",) if bench.separate else TIME_LOCAL

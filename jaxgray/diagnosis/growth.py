@@ -11,7 +11,7 @@ from .bench import Bench
 from .competitor import FlexibleForce
 from .credit import CLEAR, by_free_run, lend, lendable, withdraw
 from .gain import gain_of
-from .grown import Accepted, Growth, held_out_run, stage_of_candidate
+from .grown import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
 from .judgement import ACCEPTED, at_bound
 from .problem import Candidate
 from .pruning import prune
@@ -213,11 +213,12 @@ def _class_of(attempt: Attempt, others: list[Attempt]) -> tuple[tuple[Attempt, .
 
 def recount(bench: Bench, growth: Growth, floor: np.ndarray) -> None:
     """Gains that add up: of every finding over what the findings before it leave, in units of one noise floor."""
-    before = growth.baseline_runs
+    before, left = growth.baseline_runs, growth.start.e
     for k, accepted in enumerate(growth.accepted):
+        now = accepted.attempt.fit.residual[0]
         if accepted.gain.held_out:
-            gain = gain_of(
-                before, accepted.runs, growth.baseline_runs, floor, bench.names[1], held_out=True, rng=bench.rng
-            )
+            seen, runs = runs_seen(bench, left, now, growth.start.e), (before, accepted.runs, growth.baseline_runs)
+            gain = gain_of(*runs, floor, bench.names[1], held_out=True, rng=bench.rng, seen=seen)
             growth.accepted[k] = dataclasses.replace(accepted, gain=gain)
             before = accepted.runs
+        left = now

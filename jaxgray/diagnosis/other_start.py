@@ -19,8 +19,7 @@ from .belief import residual_rms
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .gain import gain_of
-from .grown import Growth, held_out_run, stage_of_candidate
-from .judgement import FreeRun
+from .grown import Growth, held_out_run, runs_seen, stage_of_candidate
 from .problem import Candidate
 from .residual import white_chain
 
@@ -56,13 +55,14 @@ def from_other_modes(bench: Bench, growth: Growth, identification: Identificatio
     growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
     last = growth.accepted[0]
     held_out, data = last.gain.held_out, bench.data[0]
+    seen = runs_seen(bench, growth.start.e, fit.residual[0], growth.start.e)
     if held_out:
         growth.runs = new = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
-        base = growth.baseline_runs
+        runs = growth.baseline_runs, new, growth.baseline_runs
     else:
-        base, new = ([FreeRun(e, e, data.kept)] for e in (growth.start.e, fit.residual[0]))
+        runs, seen = seen, None
     floor = residual_rms(fit.residual[0], data) if bench.floor is None else bench.floor
-    gain = gain_of(base, new, base, floor, bench.names[1], held_out=held_out, rng=bench.rng)
+    gain = gain_of(*runs, floor, bench.names[1], held_out=held_out, rng=bench.rng, seen=seen)
     attempt = dataclasses.replace(last.attempt, fit=fit)
     growth.accepted[0] = dataclasses.replace(last, attempt=attempt, gain=gain, runs=growth.runs)
 

@@ -30,6 +30,9 @@ UNDETERMINED = 0.5
 POOR = 30.0
 """Fit [%] of the free run below which it is of no use."""
 
+USELESS = 10.0
+"""The same where the force equation finds nothing."""
+
 USABLE = 80.0
 """Fit [%] of the free run from which it is of use whatever the standard errors say."""
 
@@ -73,7 +76,7 @@ def begin(
     if route == "force equation":
         search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
         # What the force equation does not hear, a free run may that is poor, but not without use.
-        if search.taken or identification is None or _fit(identification) < POOR:
+        if search.taken or identification is None or _fit(identification) < USELESS:
             return force_diagnosis(search, identification)
         return identification
     if failure is not None:

@@ -1,0 +1,40 @@
+"""The gain of a finding: its size, and how far it may be from that on other records."""
+
+import numpy as np
+import pytest
+
+from jaxgray.diagnosis.gain import gain_of
+from jaxgray.diagnosis.judgement import FreeRun
+
+FLOOR, NAMES, SAMPLES = np.array([0.1]), ("y1",), 4000
+
+
+def runs(rng, *sizes):
+    """A free run of every size of error, alone on its record."""
+    kept = np.ones((SAMPLES, 1), bool)
+    errors = [size * rng.standard_normal((SAMPLES, 1)) for size in sizes]
+    return tuple([FreeRun(e, e, kept)] for e in errors)
+
+
+def test_gain_is_that_of_the_errors_and_sure_of_it_where_they_are_alike_all_along():
+    rng = np.random.default_rng(0)
+    before, after = runs(rng, 0.4, 0.1)
+    gain = gain_of(before, after, before, FLOOR, NAMES, held_out=True, rng=rng)
+    assert gain.percent == pytest.approx(75.0, abs=1.5)
+    assert gain.ci95[0] < gain.percent < gain.ci95[1]
+    assert gain.ci95[1] - gain.ci95[0] < 10
+    assert gain.ci99_lower > 70
+
+
+def test_interval_reaches_as_far_as_the_gain_differs_between_records():
+    rng = np.random.default_rng(1)
+    before, after = runs(rng, 0.4, 0.1)
+    seen_before, seen_after = runs(rng, 0.2, 0.1)
+    alone = gain_of(before, after, before, FLOOR, NAMES, held_out=True, rng=rng)
+    seen = (seen_before, seen_after, seen_before)
+    gain = gain_of(before, after, before, FLOOR, NAMES, held_out=True, rng=rng, seen=seen)
+    assert alone.ci95[0] > 60
+    # Half of the error was left on the data of the fit, a quarter on these.
+    assert gain.ci95[0] == pytest.approx(50.0, abs=3.0)
+    assert gain.ci95[1] > 85
+    assert gain.percent == alone.percent
