@@ -133,10 +133,12 @@ def _of_clean_records(
     baseline = baseline_of(records, identification, model, None)
     floor, source = independent_floor(records[0])
     laws = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
+    data = [Data.of(r) for r in records]
+    longest = max(len(d.u) for d in data)
     bench = Bench(
         Simulator(baseline.setup, laws),
-        [Data.of(r) for r in records],
-        [Data.of(r) for r in held],
+        data,
+        [Data.of(r, longest) for r in held],
         searched,
         (records[0].input_names, records[0].output_names),
         baseline.setup.held,

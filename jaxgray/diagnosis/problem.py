@@ -15,6 +15,9 @@ from ..mechanics.drives import AbstractDrive
 from ..mechanics.effects.base import Term
 from ..records import Record
 
+LONGER = 4
+"""How many times longer a record may become so that its length is that of another."""
+
 
 @dataclass(frozen=True)
 class Data:
@@ -32,9 +35,11 @@ class Data:
     hold: str
 
     @classmethod
-    def of(cls, record: Record) -> "Data":
-        """A record as the diagnosis takes it."""
-        extra = padded_samples(record.samples) - record.samples
+    def of(cls, record: Record, like: int = 0) -> "Data":
+        """A record as the diagnosis takes it, as long as one that is padded already to `like` samples where that is not
+        much longer."""
+        length = padded_samples(record.samples)
+        extra = (like if length < like <= LONGER * length else length) - record.samples
         known = np.isfinite(record.y)
         p = np.zeros(record.samples) if record.scheduling is None else record.scheduling
         return cls(

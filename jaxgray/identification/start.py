@@ -38,6 +38,10 @@ SMALL = 9
 POOR = 0.3
 """Share of an output's power left by a start above which others are tried too."""
 
+LOST = 0.7
+"""How much less likely per output sample than its cell a start may be, logarithms, for no other to be tried: half of
+the logarithm of a power four times as large."""
+
 REACH_LIMIT = 1e-11
 
 
@@ -153,8 +157,8 @@ def subspace_starts(
 ) -> list[Start]:
     """Subspace models from a grid of time constants and block rows, best first.
 
-    One where the best cell serves and a refinement follows; where the model of a cell simulates poorly (its damping,
-    say, was cut off at the edge of what is physical), those of the next cells too.
+    One where the best cell serves and a refinement follows; where the model of a cell simulates poorly, or much worse
+    than the cell (its damping, say, was cut off at the edge of what is physical), those of the next cells too.
 
     **Arguments:** `signals`: scaled records; `setting`; `sampling_time` [s]; `options`.
 
@@ -213,7 +217,7 @@ def subspace_starts(
                 best = here
         if best is not None:
             starts.append(best)
-            if best.serves and not options.thorough:
+            if best.serves and not options.thorough and best.score > table[index] - LOST:
                 break
     if not starts:
         raise failure or ComputationError(RESULTS.unstable_start, stage="subspace start")
