@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 ONLY_NOISE = 1.05
 """RMSE over noise floor up to which what is left counts as noise."""
 
+STANDS_IN = 1.2
+"""The same on held-out data from which a law that leaves only noise on the data of its fit may stand in for another."""
+
 SHOWN = 3
 """Parameters of one effect, and outputs, that a sentence names at most."""
 
@@ -272,11 +275,22 @@ def _gain(diagnosis: "Diagnosis", causes: "list[Finding]") -> str:
         # Where the noise is taken from the final model itself, something may be left all the same.
         if diagnosis.verdict == "partly":
             return f"{change}."
+        unseen = _left_unseen(diagnosis) if gain.held_out else 0.0
+        if unseen >= STANDS_IN:
+            whose = "its law" if len(causes) == 1 else "a law"
+            return f"{change}, but leaves {times(unseen)} the noise floor there: {whose} may stand in for another."
         noise = diagnosis.white or any(f.effect == "process_noise" for f in diagnosis.findings)
         if noise:
             return f"{change} and leaves only noise."
         return f"{change}; what is left is more than white noise, and no law of the catalogue explains it."
     return f"{change} and leaves {times(diagnosis.excess)} the noise floor."
+
+
+def _left_unseen(diagnosis: "Diagnosis") -> float:
+    """Error after mending on held-out data over the noise floor, root mean square over the outputs that have one."""
+    floors = diagnosis.noise_floor
+    left = [after / floors[y] for y, (_, after) in diagnosis.gain.per_output.items() if floors.get(y, 0.0) > 0]
+    return math.sqrt(sum(x**2 for x in left) / max(len(left), 1))
 
 
 def gain_text(gain: "Gain") -> str:

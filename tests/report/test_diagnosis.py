@@ -160,6 +160,10 @@ def test_sentences_where_something_is_not_known():
     worse = dataclasses.replace(GAIN, percent=-1.0, ci95=(-3.0, 2.0))
     assert "Adding it does not lower the held-out error (-1 % (-3 to 2))" in diagnosis(gain=worse).sentence
     assert "held-out" not in diagnosis(gain=None).sentence
+    astray = dataclasses.replace(GAIN, per_output={"y1": (2.8e-3, 2e-3), "y2": (2.1e-3, 4e-3)})
+    text = diagnosis(gain=astray).sentence
+    assert "64 % (61 to 67), but leaves 2.0× the noise floor there: its law may stand in for another." in text
+    assert "stand in" not in diagnosis(gain=dataclasses.replace(astray, held_out=False)).sentence
     unknown = diagnosis(noise_floor={"y1": NAN, "y2": 0.0}, baseline_excess=NAN, excess=NAN)
     assert unknown.sentence.startswith("The linear model misses an unknown multiple of the noise floor. Cause")
     higher = Estimate(2.0, None, "N/m")
