@@ -52,7 +52,7 @@ def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: 
     runs = [held_out_run(bench, free.fit.candidate, d) for d in bench.validation] if held_out else before
     seen = runs_seen(bench, old, free.fit.residual[0], growth.start.e)
     pairs = (before, runs, growth.baseline_runs) if held_out else seen
-    gain = gain_of(*pairs, floor, bench.names[1], held_out=held_out, rng=bench.rng, seen=seen if held_out else None)
+    gain = gain_of(*pairs, floor, bench.names[1], held_out=held_out, rng=bench.rng, seen=seen)
     growth.accepted.append(Accepted(free, rivals, gain, runs))
     growth.fit, growth.stage = attempt.fit, stage_of_candidate(bench, attempt.fit.candidate)
 

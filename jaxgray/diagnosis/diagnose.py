@@ -206,9 +206,9 @@ def _assembled(
         if growth.runs:
             # What is tied to the clock of the fit does not show on held-out data.
             held_out = any(accepted.gain.held_out for accepted in growth.accepted)
-            before, after = (growth.baseline_runs, growth.runs) if held_out else ([start_run], [last_run])
-            seen = ([start_run], [last_run], [start_run]) if held_out else None
-            gain = gain_of(before, after, before, floor, names, held_out=held_out, rng=bench.rng, seen=seen)
+            seen = [start_run], [last_run], [start_run]
+            runs = (growth.baseline_runs, growth.runs, growth.baseline_runs) if held_out else seen
+            gain = gain_of(*runs, floor, names, held_out=held_out, rng=bench.rng, seen=seen)
             if len(growth.accepted) == 1:
                 # The same, from the same draws: one finding must not have two intervals.
                 gain = growth.accepted[0].gain

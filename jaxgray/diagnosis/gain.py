@@ -36,7 +36,8 @@ def gain_of(
     """Gain from one model to the next, with its intervals.
 
     **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
-    `names` of outputs; `held_out`; `rng`; `seen`: the same three on the data of the fit, where those here are not.
+    `names` of outputs; `held_out`; `rng`; `seen`: the same three on the data of the fit, for gains on
+    held-out data.
 
     **Returns:** a `Gain`.
 
@@ -49,7 +50,7 @@ def gain_of(
     pairs = {name: (float(b), float(a)) for name, b, a in zip(names, *short.rmse(everything)[:2])}
     percent = short.percent(everything)
     between = 0.0
-    if seen is not None:
+    if held_out and seen is not None:
         fitted = _Pieces(seen, floor, 1)
         between = abs(_left(fitted.percent(np.arange(len(fitted)))) - _left(percent))
     interval = _interval(runs, floor, percent, between)

@@ -55,12 +55,10 @@ def from_other_modes(bench: Bench, growth: Growth, identification: Identificatio
     growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
     last = growth.accepted[0]
     held_out, data = last.gain.held_out, bench.data[0]
-    seen = runs_seen(bench, growth.start.e, fit.residual[0], growth.start.e)
+    runs = seen = runs_seen(bench, growth.start.e, fit.residual[0], growth.start.e)
     if held_out:
-        growth.runs = new = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
-        runs = growth.baseline_runs, new, growth.baseline_runs
-    else:
-        runs, seen = seen, None
+        growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
+        runs = growth.baseline_runs, growth.runs, growth.baseline_runs
     floor = residual_rms(fit.residual[0], data) if bench.floor is None else bench.floor
     gain = gain_of(*runs, floor, bench.names[1], held_out=held_out, rng=bench.rng, seen=seen)
     attempt = dataclasses.replace(last.attempt, fit=fit)

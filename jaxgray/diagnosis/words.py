@@ -275,7 +275,9 @@ def _gain(diagnosis: "Diagnosis", causes: "list[Finding]") -> str:
         # Where the noise is taken from the final model itself, something may be left all the same.
         if diagnosis.verdict == "partly":
             return f"{change}."
-        unseen = _left_unseen(diagnosis) if gain.held_out else 0.0
+        # A finding tied to the clock of one record is left out of the runs on another, and missing there.
+        everywhere = all(f.gain is not None and f.gain.held_out for f in causes)
+        unseen = _left_unseen(diagnosis) if gain.held_out and everywhere else 0.0
         if unseen >= STANDS_IN:
             whose = "its law" if len(causes) == 1 else "a law"
             return f"{change}, but leaves {times(unseen)} the noise floor there: {whose} may stand in for another."

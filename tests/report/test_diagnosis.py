@@ -164,6 +164,11 @@ def test_sentences_where_something_is_not_known():
     text = diagnosis(gain=astray).sentence
     assert "64 % (61 to 67), but leaves 2.0× the noise floor there: its law may stand in for another." in text
     assert "stand in" not in diagnosis(gain=dataclasses.replace(astray, held_out=False)).sentence
+    # What is tied to the clock of one record is missing on another, whatever its law.
+    clocked = tuple(
+        dataclasses.replace(f, gain=dataclasses.replace(GAIN, held_out=False)) for f in diagnosis().findings
+    )
+    assert "stand in" not in diagnosis(gain=astray, findings=clocked).sentence
     unknown = diagnosis(noise_floor={"y1": NAN, "y2": 0.0}, baseline_excess=NAN, excess=NAN)
     assert unknown.sentence.startswith("The linear model misses an unknown multiple of the noise floor. Cause")
     higher = Estimate(2.0, None, "N/m")
