@@ -63,7 +63,7 @@ def cases(records, samples):
     @jax.jit
     def refine(start, batch):
         def one(u, y, kept):
-            return refine_one(start, One(u, y, kept, kept[:, 0]), setting, Structure()).matrices
+            return refine_one(start, One(u, y, kept, kept[:, 0]), setting, Structure(), gaps=False).matrices
 
         return jax.vmap(one)(batch.u, batch.y, batch.kept)
 

@@ -74,7 +74,7 @@ def refined_side_by_side(begun, signals):
         for b, s in zip(begun, signals)
     ]
     static = rows[0][1]
-    program = jax.jit(jax.vmap(lambda arrays: refine_one(*eqx.combine(arrays, static), form)))
+    program = jax.jit(jax.vmap(lambda arrays: refine_one(*eqx.combine(arrays, static), form, gaps=False)))
     size = max(1, CHUNK_SAMPLES // len(signals[0].u))
     chunks = [rows[k : k + size] for k in range(0, len(rows), size)]
     stacked = [jax.tree_util.tree_map(lambda *X: np.stack(X), *(d for d, _ in chunk)) for chunk in chunks]

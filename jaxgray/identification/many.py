@@ -31,8 +31,9 @@ from .start import POOR, StartOptions, filled, subspace_starts
 from .structure import Structure, structure_of
 from .sweep import default_time_constants, drives_every_coordinate, usable_block_rows
 
-CHUNK_SAMPLES = 2**14
-"""Samples that one device takes at a time: their sensitivities stay in cache."""
+CHUNK_SAMPLES = 2**15
+"""Samples that one device takes at a time: what they need stays in cache, and the many small products of matrices take
+longer than calling them."""
 
 EDGE = 1e-4
 """Smallest eigenvalue, relative to the largest, under which an end may be a trap of the Cholesky factors."""
@@ -161,13 +162,15 @@ def _choices(records, drive, time_constants, block_rows, weight) -> tuple[np.nda
 
 
 @functools.cache
-def _program(devices: tuple, rows: tuple[int, ...], weight, form: Structure, every_coordinate: bool, static):
+def _program(
+    devices: tuple, rows: tuple[int, ...], weight, form: Structure, every_coordinate: bool, gaps: bool, static
+):
     """The compiled start and refinement of a chunk, its records spread over the devices."""
 
     def one(arrays):
         one, setting, poles = eqx.combine(arrays, static)
         start, choice = start_one(one, setting, poles, rows, weight, every_coordinate=every_coordinate)
-        return refine_one(start, one, setting, form), choice
+        return refine_one(start, one, setting, form, gaps=gaps), choice
 
     mesh = jax.sharding.Mesh(np.array(devices), ("records",))
     spec = jax.sharding.PartitionSpec("records")
@@ -178,6 +181,7 @@ def _program(devices: tuple, rows: tuple[int, ...], weight, form: Structure, eve
 def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> tuple[Refined, np.ndarray]:
     """`Refined` of every usable record, stacked, and the place of its start in the grid τ × i."""
     taus, rows, weight, form, every_coordinate = options
+    gaps = any(records[k].has_missing for k in usable)
     padded = padded_samples(max(records[k].samples for k in usable))
     size = len(devices) * max(1, min(CHUNK_SAMPLES // padded, -(-len(usable) // len(devices))))
 
@@ -196,7 +200,7 @@ def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> 
         rows_of = [eqx.partition(arrays(k), eqx.is_array) for k in picked]
         dynamic, static = [d for d, _ in rows_of], rows_of[0][1]
         dynamic += dynamic[-1:] * (size - len(picked))
-        program, sharding = _program(tuple(devices), rows, weight, form, every_coordinate, static)
+        program, sharding = _program(tuple(devices), rows, weight, form, every_coordinate, gaps, static)
         stacked = jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *dynamic)
         return program(jax.device_put(stacked, sharding))
 

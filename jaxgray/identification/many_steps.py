@@ -15,12 +15,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..numerics.lifting import SHORT_BLOCK
 from ..numerics.linear_algebra import triangle_vector
+from ..numerics.response_products import response_products
 from ..numerics.sensitivity import (
     by_blocks,
     from_blocks,
     lift_by_channel,
     respond_in_blocks,
-    response_products,
 )
 from .cholesky import pack, unpack
 from .conic import DECREMENT
@@ -100,11 +100,18 @@ def _step(point: _Point, damping: Array) -> tuple[Array, Array]:
 
 
 def refine_one(
-    start: tuple[Array, Array, Array], one: One, setting: Setting, structure: Structure, *, max_steps: int = MAX_STEPS
+    start: tuple[Array, Array, Array],
+    one: One,
+    setting: Setting,
+    structure: Structure,
+    *,
+    gaps: bool,
+    max_steps: int = MAX_STEPS,
 ) -> Refined:
     """Refine M, D, K of one record by prediction error, maximum likelihood over the outputs.
 
-    **Arguments:** `start`: scaled M, D, K; `one`: the record; `setting`; `structure`: what is free; `max_steps`.
+    **Arguments:** `start`: scaled M, D, K; `one`: the record; `setting`; `structure`: what is free; `gaps`:
+    whether samples may be missing inside the record; `max_steps`.
 
     **Returns:** a `Refined`; not finite where the start is of no use.
 
@@ -145,7 +152,7 @@ def refine_one(
 
     def at(place):
         vector, x0, offset = jnp.split(place, [entries, entries + 2 * dofs])
-        products = response_products(lifted, vector, x0, offset, u, measured, kept)
+        products = response_products(lifted, vector, x0, offset, u, measured, kept, gaps=gaps)
         _, lower, cost = likelihood(products[-1, :, -1, :])
         white = jsl.solve_triangular(lower, jnp.eye(outputs), lower=True)
         table = jnp.einsum("op,codp->cd", white.T @ white, products)

@@ -14,7 +14,8 @@ from jaxtyping import Array, Float
 from ..mechanics.statespace import StateSpace
 from ..numerics.lifting import free_response
 from ..numerics.linear_algebra import duplication, symmetric_vector
-from ..numerics.sensitivity import by_blocks, lift_by_channel, response_products
+from ..numerics.response_products import response_products
+from ..numerics.sensitivity import by_blocks, lift_by_channel
 from .prediction import Batch, Nuisance, Setting, prediction_errors, weighed
 from .structure import Structure
 
@@ -204,7 +205,7 @@ def _of_one_record(blocks: list[Array], nuisance: Nuisance, criterion: Criterion
         system = criterion.setting.system(*criterion.matrices(part(vector, criterion.sizes)))
         return lift_by_channel(system.A, system.B, system.C, system.D)
 
-    table = response_products(lifted, join(blocks), nuisance.x0[0], offset, u, y, kept)
+    table = response_products(lifted, join(blocks), nuisance.x0[0], offset, u, y, kept, gaps=batch.gaps)
     return Products(table.transpose(1, 3, 0, 2), _counts(batch.kept))
 
 

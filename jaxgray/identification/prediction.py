@@ -31,11 +31,15 @@ class Nuisance(eqx.Module):
 
 
 class Batch(eqx.Module):
-    """Records of one system, scaled and padded to one length."""
+    """Records of one system, scaled and padded to one length.
+
+    `gaps`: whether samples may be missing elsewhere than in the padding.
+    """
 
     u: Float[Array, "records samples inputs"]
     y: Float[Array, "records samples outputs"]
     kept: Float[Array, "records samples outputs"]
+    gaps: bool = eqx.field(static=True, default=True)
 
     @classmethod
     def of(cls, signals: list[Signals]) -> "Batch":
@@ -47,7 +51,13 @@ class Batch(eqx.Module):
             padded = [np.pad(np.asarray(part), ((0, length - part.shape[0]), (0, 0))) for part in parts]
             return jax.device_put(np.stack(padded))
 
-        return cls(stack("u"), stack("y"), stack("kept"))
+        return cls(stack("u"), stack("y"), stack("kept"), any(has_gaps(np.asarray(s.kept)) for s in signals))
+
+
+def has_gaps(kept: Float[np.ndarray, "samples outputs"]) -> bool:
+    """Whether samples are missing elsewhere than at the end, or not of all outputs alike."""
+    some = kept[:, 0] > 0
+    return bool(np.any(kept != some[:, None]) or np.any(some[1:] & ~some[:-1]))
 
 
 class Setting(eqx.Module):

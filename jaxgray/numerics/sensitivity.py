@@ -5,13 +5,12 @@ for every channel and sample of a block, a column for every block. The order of 
 all of them do not see.
 """
 
-from collections.abc import Callable
-
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .lifting import SHORT_BLOCK, LiftedSystem, block_starts, lift
+from .lifting import SHORT_BLOCK, block_starts, powers
 
 
 def by_blocks(signal: Float[Array, "samples channels"]) -> Float[Array, "channel_block blocks"]:
@@ -28,45 +27,64 @@ def from_blocks(laid: Float[Array, "channel_block blocks"], samples: int) -> Flo
     )
 
 
+class ChannelBlocks(eqx.Module):
+    """What `lifting.LiftedSystem` holds, for signals laid out by `by_blocks`.
+
+    `observability` has rows ordered by output, then by sample; `reachability` columns by input, then by sample;
+    `markov` are the Markov parameters, from D on.
+    """
+
+    observability: Float[Array, "outputs_block states"]
+    markov: Float[Array, "outputs inputs block"]
+    reachability: Float[Array, "states inputs_block"]
+    transition: Float[Array, "states states"]
+
+    @property
+    def toeplitz(self) -> Float[Array, "outputs_block inputs_block"]:
+        """From the inputs of a block to its outputs."""
+        outputs, inputs, block = self.markov.shape
+        lag = jnp.arange(block)[:, None] - jnp.arange(block)[None, :]
+        laid = jnp.where(lag >= 0, self.markov[:, :, jnp.maximum(lag, 0)], 0.0)
+        return laid.transpose(0, 2, 1, 3).reshape(outputs * block, inputs * block)
+
+
 def lift_by_channel(
     A: Float[Array, "states states"],
     B: Float[Array, "states inputs"],
     C: Float[Array, "outputs states"],
     D: Float[Array, "outputs inputs"],
-) -> LiftedSystem:
+) -> ChannelBlocks:
     """Block form of a discrete-time system for signals laid out by `by_blocks`."""
-    states, inputs = B.shape
-    outputs = C.shape[0]
-    system = lift(A, B, C, D, block=SHORT_BLOCK)
-    toeplitz = system.toeplitz.reshape(SHORT_BLOCK, outputs, SHORT_BLOCK, inputs).transpose(1, 0, 3, 2)
-    return LiftedSystem(
-        observability=system.observability.reshape(SHORT_BLOCK, outputs, states).transpose(1, 0, 2).reshape(-1, states),
-        toeplitz=toeplitz.reshape(outputs * SHORT_BLOCK, inputs * SHORT_BLOCK),
-        reachability=system.reachability.reshape(states, SHORT_BLOCK, inputs).transpose(0, 2, 1).reshape(states, -1),
-        transition=system.transition,
+    states, outputs = len(A), len(C)
+    chain = powers(A, SHORT_BLOCK + 1)
+    seen = C @ chain[:SHORT_BLOCK]
+    markov = jnp.concatenate([D[None], seen[:-1] @ B])
+    return ChannelBlocks(
+        observability=seen.transpose(1, 0, 2).reshape(outputs * SHORT_BLOCK, states),
+        markov=markov.transpose(1, 2, 0),
+        reachability=(chain[:SHORT_BLOCK] @ B)[::-1].transpose(1, 2, 0).reshape(states, -1),
+        transition=chain[SHORT_BLOCK],
     )
 
 
 def respond_in_blocks(
-    system: LiftedSystem, u: Float[Array, "channel_block blocks"], x0: Float[Array, " states"]
+    system: ChannelBlocks, u: Float[Array, "channel_block blocks"], x0: Float[Array, " states"]
 ) -> tuple[Float[Array, "channel_block blocks"], Float[Array, "states blocks"]]:
     """Response by blocks, and the state at the start of each."""
     starts = block_starts(system.transition, (system.reachability @ u).T, x0)[0].T
     return system.toeplitz @ u + system.observability @ starts, starts
 
 
-def sensitivities_in_blocks(
-    system: LiftedSystem,
-    along: LiftedSystem,
+def heads_along(
+    system: ChannelBlocks,
+    along: ChannelBlocks,
     u: Float[Array, "channel_block blocks"],
     starts: Float[Array, "states blocks"],
-) -> Float[Array, "columns channel_block blocks"]:
-    """Derivatives of the response by parameters and by the first state, by blocks.
+) -> Float[Array, "columns states blocks"]:
+    """Derivatives of the states at the start of every block, by each parameter, then by each first state.
 
-    **Arguments:** `system`: the lifted system; `along`: its derivatives by each parameter, with a first axis for these;
-    `u`: the input by blocks; `starts`: states at the start of each block, from `respond_in_blocks`.
-
-    **Returns:** one response for each parameter, then one for each state.
+    **Arguments:** `system`: in blocks; `along`: its derivatives by each parameter, with a first axis for these; `u`:
+    the input by blocks; `starts`: states at the start of each block, from `respond_in_blocks`.
     """
     states, blocks = starts.shape
     parameters = along.transition.shape[0]
@@ -76,39 +94,26 @@ def sensitivities_in_blocks(
     drive = jnp.concatenate([drive, jnp.zeros((states, blocks, states))])
     first = jnp.concatenate([jnp.zeros((parameters, states)), jnp.eye(states)])
     heads = jax.vmap(lambda r, x: block_starts(system.transition, r, x)[0])(drive, first)
-    direct = jnp.concatenate([along.toeplitz, along.observability], axis=2)
-    direct = (direct.reshape(-1, len(known)) @ known).reshape(parameters, -1, blocks)
+    return heads.transpose(0, 2, 1)
+
+
+def sensitivities_in_blocks(
+    system: ChannelBlocks,
+    along: ChannelBlocks,
+    u: Float[Array, "channel_block blocks"],
+    starts: Float[Array, "states blocks"],
+    heads: Float[Array, "columns states blocks"],
+) -> Float[Array, "columns channel_block blocks"]:
+    """Derivatives of the response by parameters and by the first state, by blocks.
+
+    **Arguments:** as for `heads_along`, and what that returns.
+
+    **Returns:** one response for each parameter, then one for each state.
+    """
+    states, blocks = starts.shape
+    known = jnp.concatenate([u, starts])
+    direct = jnp.concatenate([jax.vmap(lambda s: s.toeplitz)(along), along.observability], axis=2)
+    direct = (direct.reshape(-1, len(known)) @ known).reshape(len(along.transition), -1, blocks)
     direct = jnp.concatenate([direct, jnp.zeros((states, *direct.shape[1:]))])
     # A sum of a few products, which the compiler melts into the loop that adds it; a product of matrices it would not.
-    return direct + sum(c[None, :, None] * heads[:, None, :, k] for k, c in enumerate(system.observability.T))
-
-
-def response_products(
-    lifted: Callable[[Array], LiftedSystem],
-    vector: Float[Array, " parameters"],
-    x0: Float[Array, " states"],
-    offset: Float[Array, " outputs"] | None,
-    u: Float[Array, "channel_block blocks"],
-    y: Float[Array, "channel_block blocks"],
-    kept: Float[Array, "channel_block blocks"],
-) -> Float[Array, "columns outputs columns outputs"]:
-    """Inner products over the samples of what a response is sensitive to, and of its errors.
-
-    **Arguments:** `lifted`: the system of some parameters, by `lift_by_channel`; `vector`: these; `x0`: first state;
-    `offset` of the outputs, or None for none; `u`, `y`: input and measured output by blocks; `kept`: 1 for samples that
-    count, else 0.
-
-    **Returns:** one column for each parameter, state and offset, the error ŷ − y last.
-    """
-    system = lifted(vector)
-    along = jax.tree_util.tree_map(lambda X: jnp.moveaxis(X, -1, 0), jax.jacfwd(lifted)(vector))
-    run, starts = respond_in_blocks(system, u, x0)
-    outputs = len(kept) // SHORT_BLOCK
-    columns = [sensitivities_in_blocks(system, along, u, starts)]
-    if offset is not None:
-        run = run + jnp.repeat(offset, SHORT_BLOCK)[:, None]
-        units = jnp.repeat(jnp.eye(outputs), SHORT_BLOCK, axis=1)
-        columns.append(jnp.broadcast_to(units[:, :, None], (outputs, *kept.shape)))
-    rows = jnp.concatenate([*columns, (run - y)[None]]) * kept
-    flat = rows.reshape(len(rows) * outputs, -1)
-    return (flat @ flat.T).reshape(len(rows), outputs, len(rows), outputs)
+    return direct + sum(c[None, :, None] * heads[:, None, k, :] for k, c in enumerate(system.observability.T))
