@@ -1,12 +1,12 @@
 """From what the loop found to a `Diagnosis`: parameters with units, tables, budget and verdict."""
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from ..identification.validation import fit_of
 from ..mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term
 from ..mechanics.model import MechanicalModel
+from ..numerics.stored_programs import stored
 from ..records import Record
 from .belief import residual_rms
 from .bench import Bench
@@ -134,7 +134,7 @@ def model_of(candidate: Candidate, like: MechanicalModel, setup: Setup) -> Mecha
     )
 
 
-@eqx.filter_jit
+@stored
 def _slopes(matrices, entries):
     return jax.jacfwd(matrices)(entries)
 

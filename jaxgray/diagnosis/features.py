@@ -6,7 +6,6 @@ effects likewise from the input; output effects from the outputs; matrix effects
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +27,7 @@ from ..mechanics.extended import Plant, arm_of, held_input, input_matrix_of, loc
 from ..mechanics.force_over_time import force_over_time
 from ..mechanics.statespace import hold_matrices
 from ..numerics.lifting import respond
+from ..numerics.stored_programs import stored
 from .problem import Data
 
 BATCH = 16
@@ -191,7 +191,7 @@ def _force_columns(shapes, plant, motion, data, outputs):
     )
 
 
-@eqx.filter_jit
+@stored
 def _seen(q, v, u, inputs, arm, plant, time, scheduling):
     """What a force law sees of one motion at its place."""
     samples, dofs = q.shape
@@ -201,7 +201,7 @@ def _seen(q, v, u, inputs, arm, plant, time, scheduling):
     return Local(q @ arm, v @ arm, a, compliance, u, jnp.arange(samples) * time, scheduling)
 
 
-@eqx.filter_jit
+@stored
 def _force_series(law, vectors, here, time):
     """Force over time of one law for every basis vector; law by law, since which laws are asked for differs."""
     return jax.vmap(lambda p: force_over_time(law, p, here, time))(vectors)
@@ -225,7 +225,7 @@ def _responses(plant, columns, start, end, time, outputs, *, forced):
     return made
 
 
-@eqx.filter_jit
+@stored
 def _respond_many(plant, columns, start, end, time, forced):
     system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, time)
     dofs = plant.mass.shape[0]
@@ -255,7 +255,7 @@ def _input_columns(shapes, plant, motion, data, outputs):
     return _responses(plant, column, first, last, data.traced_sampling_time, outputs, forced=False)
 
 
-@eqx.filter_jit
+@stored
 def _input_changes(law, vectors, start, end, time):
     def one(p):
         a, b = law.apply(p, start, end, time)
@@ -278,7 +278,7 @@ def _output_columns(shapes, plant, motion, data, outputs):
     return made
 
 
-@eqx.filter_jit
+@stored
 def _output_changes(law, vectors, y, source, time):
     return jax.vmap(lambda p: law.apply(p, y, source, time) - y)(vectors)
 
@@ -322,7 +322,7 @@ def _arms(shapes, dofs):
     return eye[first], eye[second]
 
 
-@eqx.filter_jit
+@stored
 def _changed_matrices(law, stacked, first, second, plant):
     def one(p, a, b):
         return law.matrices(p, plant.mass, plant.damping, plant.stiffness, a, b)
@@ -330,7 +330,7 @@ def _changed_matrices(law, stacked, first, second, plant):
     return jax.vmap(one)(stacked, first, second)
 
 
-@eqx.filter_jit
+@stored
 def _linear_runs(M, D, K, drive, measured, start, end, time):
     def one(M, D, K):
         system = drive.state_space(M, D, K, measured, time)

@@ -7,7 +7,6 @@
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from jaxtyping import Bool, Float
 from ..mechanics.effects.base import AbstractEffect, AbstractInputEffect, Local, Place, Scales
 from ..mechanics.extended import arm_along, held_input
 from ..mechanics.force_over_time import force_over_time
+from ..numerics.stored_programs import stored
 from ..records import Record
 from .sizes import LEVELS, root_mean_square
 
@@ -130,21 +130,21 @@ def _bridged(column: Float[np.ndarray, " samples"], known: Bool[np.ndarray, " sa
     return column if known.all() else np.interp(at, at[known], column[known])
 
 
-_force = eqx.filter_jit(force_over_time)
+_force = stored(force_over_time)
 
 
-@eqx.filter_jit
+@stored
 def _force_slopes(effect, p, here, time):
     return jax.jacfwd(lambda p: force_over_time(effect, p, here, time))(p)
 
 
-@eqx.filter_jit
+@stored
 def _change(effect: AbstractInputEffect, p, start, end, time):
     a, b = effect.apply(p, start, end, time)
     return around_samples(start, end) - around_samples(a, b)
 
 
-@eqx.filter_jit
+@stored
 def _change_slopes(effect, p, start, end, time):
     return jax.jacfwd(lambda p: _change(effect, p, start, end, time))(p)
 

@@ -1,12 +1,12 @@
 """Free runs over short windows, each with a first state of its own: for bodies that drift over the whole record."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..mechanics.extended import Plant, plant_run, slots_of
 from ..mechanics.model import MechanicalModel
+from ..numerics.stored_programs import stored
 from ..records import Record
 from .force_rows import Series
 from .judgement import FreeRun
@@ -27,7 +27,7 @@ def window_samples(records: list[Record]) -> int:
     return min(max(min(wanted, LONGEST), SHORTEST), shortest)
 
 
-@eqx.filter_jit
+@stored
 def _windows(plant, x0, start, end, scheduling, slots, time, laws):
     def run(x0, start, end, p):
         return plant_run(plant, x0, start, end, slots, time, laws=laws, scheduling=p)

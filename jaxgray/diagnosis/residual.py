@@ -22,6 +22,7 @@ from ..mechanics.statespace import StateSpace
 from ..numerics.filters import filtered
 from ..numerics.lifting import respond, respond_many
 from ..numerics.riccati import kalman_gain
+from ..numerics.stored_programs import stored
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
 """Force noise relative to the inputs' mean square that is tried."""
@@ -62,10 +63,15 @@ class Chain:
     ) -> Float[np.ndarray, "rows samples outputs"]:
         """Residuals or features through the chain, each a row of its own: what is not `kept` is zero before, what is
         not `used` zero after it."""
-        if self.is_white:
-            return ((X * used).reshape(-1, X.shape[2]) @ np.linalg.inv(self.lower).T).reshape(X.shape)
-        arrays = (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)
         result = np.empty(X.shape)
+        if self.is_white:
+            inverse = np.linalg.inv(self.lower)
+            np.multiply(X, used * np.diag(inverse), out=result)
+            for i, j in zip(*np.nonzero(inverse - np.diag(np.diag(inverse)))):
+                result[:, :, i] += inverse[i, j] * (X[:, :, j] * used[:, i])
+            return result
+        arrays = (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)
+
         for k in range(0, len(X), ROWS):
             part = X[k : k + ROWS]
             count = len(part)
@@ -80,7 +86,7 @@ class Chain:
         return self.ratio == 0.0 and not np.any(self.coefficients[:, 1:]) and bool(np.all(self.coefficients[:, 0] == 1))
 
 
-@jax.jit
+@stored
 def _whiten(A, C, gain, coefficients, lower, kept, used, X):
     """The whole chain as one recursion: the innovations filter, and the innovations that the AR models remember."""
     states, outputs, lags = A.shape[0], C.shape[0], coefficients.shape[1] - 1
@@ -97,7 +103,7 @@ def _whiten(A, C, gain, coefficients, lower, kept, used, X):
     return respond_many(step, enter, inverse @ (now * seen + late), inverse * now.T, X * kept) * used
 
 
-@jax.jit
+@stored
 def _over_ratios(A, B, C, D, force, output, ratios, e, rows):
     """For every ρ: gain of the innovations filter, and Σ εεᵀ over the rows that count."""
 
@@ -114,10 +120,10 @@ def _innovations(A, C, gain, e):
     return respond(A - gain @ C, gain, -C, jnp.eye(C.shape[0]), e)
 
 
-_filtered = jax.jit(_innovations)
+_filtered = stored(_innovations)
 
 
-_respond, _kalman_gain = jax.jit(respond), jax.jit(kalman_gain)
+_respond, _kalman_gain = stored(respond), stored(kalman_gain)
 
 
 def counted(kept: Bool[np.ndarray, "samples outputs"]) -> Bool[np.ndarray, "samples outputs"]:

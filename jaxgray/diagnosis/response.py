@@ -23,6 +23,7 @@ from ..mechanics.effects.base import (
 )
 from ..mechanics.extended import Plant, changed_plant, held_input, plant_motion, sensed, slots_of
 from ..mechanics.tangents import Directions, run_and_tangents
+from ..numerics.stored_programs import stored
 from .problem import Candidate, Data, Setup, estimated
 
 DIRECTIONS = 8
@@ -67,7 +68,7 @@ def _values(terms: tuple[Term, ...]) -> np.ndarray:
     return np.concatenate([np.asarray(t.values, dtype=float) for t in terms]) if terms else np.zeros(0)
 
 
-@eqx.filter_jit
+@stored
 def _plant_stage(entries, flat, matrices, drive, measured, terms):
     """Plant from entries and matrix terms, and its derivative by both."""
 
@@ -82,7 +83,7 @@ def _plant_stage(entries, flat, matrices, drive, measured, terms):
     return plant, jax.jacfwd(build)(both)
 
 
-@eqx.filter_jit
+@stored
 def _input_stage(flat, u, end, sampling_time, terms):
     """Input at start and end of every sample after the input terms, and its derivative by their values."""
 
@@ -97,7 +98,7 @@ def _input_stage(flat, u, end, sampling_time, terms):
     return build(flat), jax.jacfwd(build)(flat)
 
 
-@eqx.filter_jit
+@stored
 def _run(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps):
     return plant_motion(
         plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
@@ -105,14 +106,14 @@ def _run(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps
 
 
 # Most of a refit's time goes here: compiled with full optimisation whatever `XLA_FLAGS` asks of everything else.
-@eqx.filter_jit(compiler_options={"xla_backend_optimization_level": 3})
+@stored(compiler_options={"xla_backend_optimization_level": 3})
 def _run_and_derivative(plant, x0, start, end, slots, along, sampling_time, laws, scheduling, substeps):
     return run_and_tangents(
         plant, x0, start, end, slots, along, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
     )
 
 
-@eqx.filter_jit
+@stored
 def _output_stage(flat, y, u, dy, sampling_time, terms):
     """Outputs after the output terms, derivatives carried through, and those by the terms' own values."""
 
@@ -125,7 +126,7 @@ def _output_stage(flat, y, u, dy, sampling_time, terms):
     return build(flat, y), carried, jax.jacfwd(build)(flat, y)
 
 
-@eqx.filter_jit
+@stored
 def _output_only(flat, y, u, sampling_time, terms):
     for term in _filled(terms, flat):
         y = sensed(term, y, u, sampling_time)

@@ -7,7 +7,6 @@ The memory of the effects runs through the whole record; what was before it is l
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +14,7 @@ from jaxtyping import Float
 
 from ..mechanics.effects.base import Place, Scales, Term
 from ..mechanics.extended import held_input
+from ..numerics.stored_programs import stored
 from ..records import Record
 from .judgement import FreeRun
 from .problem import estimated
@@ -54,12 +54,12 @@ class StaticFit:
         return {j: float(spread[before + k]) for k, j in enumerate(estimated(self.terms[index]))}
 
 
-@eqx.filter_jit
+@stored
 def _applied(effect, p, start, end, time):
     return effect.apply(p, start, end, time)
 
 
-@eqx.filter_jit
+@stored
 def _slopes(effect, p, start, end, time):
     return jax.jacfwd(lambda p: effect.apply(p, start, end, time)[0])(p)
 

@@ -16,6 +16,7 @@ from ..mechanics.statespace import check_hold
 from ..numerics.lifting import respond_many
 from ..numerics.positive import ProjectedGradientSolver
 from ..numerics.runtime import ready
+from ..numerics.stored_programs import stored
 from .compression import factor_of_gram, factor_of_rows
 from .filter_bank import cascade, pole
 from .input_matrix import fit_to_factor, fit_to_record, unit_drives
@@ -149,7 +150,7 @@ def estimate(
     return _estimate(u, y, weights, jnp.asarray(sampling_time), jnp.asarray(time_constant), weight, drive, options)
 
 
-@eqx.filter_jit
+@stored
 def _estimate(u, y, weights, sampling_time, time_constant, weight, drive, options: Options) -> Estimate:
     y = y - jnp.mean(y, axis=0)
     scaling = Scaling.of(jnp.std(u, axis=0), jnp.std(y, axis=0), sampling_time, options.measured)
@@ -203,7 +204,7 @@ def scaled_drive(drive: AbstractDrive, scaling: Scaling) -> AbstractDrive:
     return drive.scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time)
 
 
-@eqx.filter_jit
+@stored
 def from_factor(
     factor: Float[Array, "columns columns"],
     a: Float[Array, ""],

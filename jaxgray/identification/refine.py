@@ -15,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.stored_programs import stored
 from .cholesky import NEAR, NEAR_EDGE, at_start, cholesky_steps, pack, unpack
 from .conic import conic_steps
 from .normal import FLOOR, Criterion, Iterate, Normal
@@ -54,7 +55,7 @@ class Refinement(eqx.Module):
     result: RESULTS
 
 
-@eqx.filter_jit
+@stored
 def levenberg_marquardt(
     begin: Iterate, criterion: Criterion, max_steps: int = 60
 ) -> tuple[list[Array], Nuisance, Array]:

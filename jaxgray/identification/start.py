@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,6 +12,7 @@ from ..mechanics.drives import Force
 from ..numerics.linear_algebra import project_positive
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver
+from ..numerics.stored_programs import stored
 from ..records import Record
 from .filter_bank import pole
 from .input_matrix import InputFit, fit_to_record
@@ -92,7 +92,7 @@ class StartOptions:
     thorough: bool = False
 
 
-@eqx.filter_jit
+@stored
 def model_run(
     matrices: tuple[Array, Array, Array], setting: Setting, signals: Signals
 ) -> tuple[Float[Array, "samples outputs"], Float[Array, " outputs"]]:
@@ -140,7 +140,7 @@ def _physical_model(realization, fit, setting, known_mass, averaged):
     return jointly(realization, None, solver, known_mass)[0]
 
 
-@eqx.filter_jit
+@stored
 def _record_fit(realization, signals, weights, setting):
     return fit_to_record(
         realization,

@@ -1,7 +1,5 @@
 """Time constant τ × block rows i: every choice from one factor per τ, scored by free-run simulation."""
 
-import functools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +9,7 @@ from jaxtyping import Array, Float
 from ..mechanics.drives import AbstractDrive, Force
 from ..mechanics.statespace import StateSpace
 from ..numerics.namespace import namespace
+from ..numerics.stored_programs import stored
 from ..records import Record
 from .compression import RANK_TOLERANCE, combine, factors
 from .input_matrix import InputFit, fit_to_factor, unit_drives
@@ -70,7 +69,7 @@ def record_factors(
 
     def parts_by(householder: bool):
         options = {"inputs": inputs, "block_rows": block_rows, "householder": householder}
-        return [_factors(poles, s.u, s.y, s.samples, **options) for s in signals]
+        return [_factors(poles, s.u, s.y, np.asarray(s.samples), **options) for s in signals]
 
     parts = parts_by(householder=False)
     usable = np.all([np.asarray(pivot) > RANK_TOLERANCE for _, pivot in parts], axis=0)
@@ -81,13 +80,13 @@ def record_factors(
     return _combined([factor for factor, _ in parts], usable, inputs, block_rows), householder
 
 
-@functools.partial(jax.jit, static_argnames=("inputs", "block_rows", "householder"))
+@stored
 def _factors(poles, u, y, samples, **options):
     inside = (jnp.arange(len(u)) < samples).astype(u.dtype)
     return factors(poles, jnp.concatenate([u, y], axis=1), inside, **options)
 
 
-@functools.partial(jax.jit, static_argnums=(2, 3))
+@stored
 def _combined(parts, usable, inputs, block_rows):
     grid = jax.vmap(lambda several: combine(several, inputs, block_rows))(jnp.stack(parts, axis=1))
     return jnp.where(usable[:, None, None], grid, jnp.nan)
@@ -145,16 +144,13 @@ def realized(
     return found, StateSpace(Ad, Bd @ B2, C, Dd @ B2)
 
 
-_STATIC = ("inputs", "padded", "weight", "map", "measured", "hold", "householder")
-
-
-@functools.partial(jax.jit, static_argnames=_STATIC)
+@stored
 def _over_block_rows(factor_grid, poles, k, block_rows, **static):
     return jax.vmap(lambda i: realized(factor_grid[k], poles[k], i, **static))(block_rows)
 
 
 # Apart, so that a record of another length does not compile the realisations again.
-@jax.jit
+@stored
 def _deviations(systems, signals):
     return jax.vmap(lambda system: best_run(system, signals)[1])(systems)
 
@@ -177,7 +173,7 @@ def candidates(
         found, systems = jax.block_until_ready(_over_block_rows(factor_grid, poles, k, block_rows, **static))
         return jax.device_get(found if signals is None else with_deviation(found, _deviations(systems, signals)))
 
-    return jax.tree_util.tree_map(lambda *parts: np.stack(parts), *(at(k) for k in range(len(poles))))
+    return jax.tree_util.tree_map(lambda *parts: np.stack(parts), *(at(np.asarray(k)) for k in range(len(poles))))
 
 
 def score(deviation: Float[Array, "*grid outputs"]) -> Float[Array, "*grid"]:

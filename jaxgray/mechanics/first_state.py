@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.stored_programs import stored
 
 MOST_STEPS = 30
 """Steps of the damped Gauss-Newton iteration."""
@@ -25,12 +26,14 @@ State = tuple[Float[np.ndarray, " states"], Float[np.ndarray, " outputs"]]
 """A first state, and the offset of every output."""
 
 
-@eqx.filter_jit
+@stored
 def _run_and_slopes(run, x0):
     return run(x0), jax.jacfwd(run)(x0)
 
 
-_run = eqx.filter_jit(lambda run, x0: run(x0))
+@stored
+def _run(run, x0):
+    return run(x0)
 
 
 def refined_state(

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ..numerics.runtime import ready
+from ..numerics.stored_programs import stored
 from .drives import ORDER
 from .model import MechanicalModel
 
@@ -155,7 +156,7 @@ def natural_frequencies_hz_and_damping(
     return omega / (2 * jnp.pi), jnp.where(moving, ratio, jnp.nan)
 
 
-@eqx.filter_jit
+@stored
 def _modes(mass, damping, stiffness):
     f, ratio = natural_frequencies_hz_and_damping(mass, damping, stiffness)
     return f, ratio, undamped_modes(mass, stiffness)[1], *damped_poles(mass, damping, stiffness)
@@ -237,7 +238,7 @@ def response(
     return model.drive.state_space(model.mass, model.damping, model.stiffness, rates, T).transfer(omega * T)
 
 
-_response = eqx.filter_jit(response)
+_response = stored(response)
 
 
 def rate_factor(model: MechanicalModel, omega, kind: str) -> Complex[np.ndarray, "frequencies 1 1"]:

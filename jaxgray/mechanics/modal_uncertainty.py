@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +9,7 @@ from jaxtyping import Array, Complex, Float
 
 from ..numerics.linear_algebra import from_triangle, triangle_vector
 from ..numerics.runtime import ready
+from ..numerics.stored_programs import stored
 from .modal import (
     check_mass,
     check_omega,
@@ -74,7 +74,7 @@ def _shapes(model):
     return undamped_modes(model.mass, model.stiffness)[1]
 
 
-@eqx.filter_jit
+@stored
 def _modal_jacobians(model, entries):
     def quantities(theta):
         at = with_entries(model, theta)
@@ -84,7 +84,7 @@ def _modal_jacobians(model, entries):
     return jax.jacfwd(quantities, has_aux=True)(entries)
 
 
-@eqx.filter_jit
+@stored
 def _zero_jacobian(model, entries, z, left, right, inputs, outputs, T):
     """Derivative of each zero z: −wᴴ dP v / wᴴ(∂P/∂z)v with the null vectors of its pencil P."""
     states = 2 * model.dofs
@@ -170,7 +170,7 @@ def _null_vectors(P: Complex[np.ndarray, "n n"]) -> tuple[np.ndarray, np.ndarray
     return U[:, -1] * row, Vh[-1].conj() * column
 
 
-@eqx.filter_jit
+@stored
 def _response_jacobian(model, entries, omega):
     def parts(theta):
         H = response(with_entries(model, theta), omega)

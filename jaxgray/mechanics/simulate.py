@@ -10,6 +10,7 @@ from ..numerics.lifting import free_response, respond
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.riccati import kalman_gain
 from ..numerics.runtime import ready
+from ..numerics.stored_programs import stored
 from ..records import Record
 from ..records.channels import as_channels, as_seconds
 from .extended import Plant, extended_run
@@ -46,12 +47,12 @@ def sampled_model(model: MechanicalModel, sampling_time, hold: str) -> tuple[Sta
 
 
 # Apart, so that a record of another length does not compile the matrix exponential again.
-_sampled_model = eqx.filter_jit(sampled_model)
-_respond = eqx.filter_jit(respond)
-_free_response = eqx.filter_jit(free_response)
+_sampled_model = stored(sampled_model)
+_respond = stored(respond)
+_free_response = stored(free_response)
 
 
-@eqx.filter_jit
+@stored
 def _extended(model: MechanicalModel, u, sampling_time, hold, x0, scheduling, substeps):
     plant = Plant(model.mass, model.damping, model.stiffness, model.drive, model.measured)
     return extended_run(plant, model.effects, x0, u, sampling_time, hold, scheduling=scheduling, substeps=substeps)
@@ -199,7 +200,7 @@ def _from_state(model, u, sampling_time, hold, scheduling, substeps, x0):
     return free_run(model, u, sampling_time, hold, x0, scheduling=scheduling, substeps=substeps)
 
 
-@eqx.filter_jit
+@stored
 def _corrections(system, residual, kept, force, deviation):
     """One-step corrections C x̂ of the free run by a stationary Kalman filter on its residual."""
     C = system.C / deviation[:, None]

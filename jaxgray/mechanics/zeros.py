@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float
 
 from ..numerics.runtime import ready
+from ..numerics.stored_programs import stored
 from .modal import check_mass, time_scale, undamped_modes
 from .model import MechanicalModel
 
@@ -58,7 +58,7 @@ class Zeros:
         return "\n".join(lines)
 
 
-@eqx.filter_jit
+@stored
 def _first_order(model):
     squared, V = undamped_modes(model.mass, model.stiffness)
     T = time_scale(squared, V.T @ model.damping @ V)

@@ -7,6 +7,8 @@ import threading
 
 import jax
 
+from .stored_programs import forget
+
 CROWDED = 0.7
 """Share of the memory areas that a process may have from which compiled programs are dropped."""
 
@@ -45,6 +47,7 @@ def relieve() -> None:
         return
     if areas > CROWDED * most:
         jax.clear_caches()
+        forget()
         gc.collect()
 
 

@@ -1,0 +1,265 @@
+"""Compiled programs kept on disk whole, so that a new process need not trace and lower them to find them.
+
+The compilation cache of jax is asked with the lowered program, and to trace and lower the programs of a diagnosis takes
+longer than to run them. Here the key is what a program is made from: the sources of this package, releases, flags and
+machine, what is static in the arguments, shapes and types of the arrays. Where there is no folder for the cache, and
+wherever anything here fails, all is as with `equinox.filter_jit`.
+"""
+
+import functools
+import hashlib
+import io
+import os
+import pathlib
+import pickle
+import platform
+import tempfile
+import threading
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+from jax.experimental import serialize_executable
+
+from .backend import flags_are_known
+
+FOLDER = "jaxgray-programs"
+"""Below the folder of jax's compilation cache."""
+
+OURS = frozenset({"jaxgray", "jax", "jaxlib", "equinox", "numpy", "builtins", "copyreg", "collections", "functools"})
+"""Packages whose code a key vouches for, by their release or by the sources; a user's own class may change unseen."""
+
+_everyone: list["StoredProgram"] = []
+
+
+class _Array:
+    """Stands in the arguments for an array."""
+
+    def __reduce__(self):
+        return _Array, ()
+
+
+class _Foreign(Exception):
+    """Something static is not of the packages that the key vouches for."""
+
+
+class _Pickler(pickle.Pickler):
+    """Bytes that depend on values alone, of nothing but known classes and functions."""
+
+    def reducer_override(self, obj):
+        if isinstance(obj, type) or callable(getattr(obj, "__qualname__", None)) or hasattr(obj, "__qualname__"):
+            module = getattr(obj, "__module__", None) or "builtins"
+            if module.split(".")[0] not in OURS or "<locals>" in obj.__qualname__:
+                raise _Foreign(f"{module}.{obj.__qualname__}")
+        return NotImplemented
+
+
+def _bytes_of(tree) -> bytes:
+    stream = io.BytesIO()
+    pickler = _Pickler(stream, protocol=5)
+    # Without the memory of objects seen before: equal values give equal bytes, shared or not.
+    pickler.fast = True
+    pickler.dump(tree)
+    return stream.getvalue()
+
+
+@functools.cache
+def _surroundings() -> bytes:
+    """What every program depends on: sources, releases, flags and machine."""
+    digest = hashlib.sha256()
+    root = pathlib.Path(__file__).resolve().parents[1]
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    device = jax.local_devices()[0]
+    versions = [jax.__version__, jax.lib.__version__, eqx.__version__, device.client.platform_version]
+    machine = [device.platform, device.device_kind, platform.machine(), _processor(), os.environ.get("XLA_FLAGS", "")]
+    digest.update(repr(versions + machine).encode())
+    return digest.digest()
+
+
+def _processor() -> str:
+    """Model and features of the processor, where the system tells."""
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.processor()
+    wanted = ("model name", "flags", "Features", "CPU part")
+    return "\n".join(dict.fromkeys(line for line in lines if line.startswith(wanted)))
+
+
+def _folder() -> pathlib.Path | None:
+    """Where programs are kept; None for nowhere."""
+    config = jax.config
+    if not config.jax_compilation_cache_dir or not config.jax_enable_compilation_cache:
+        return None
+    if (
+        not flags_are_known()
+        or config.jax_disable_jit
+        or config.jax_debug_nans
+        or config.jax_debug_infs
+        or len(jax.local_devices()) > 1
+    ):
+        return None
+    return pathlib.Path(config.jax_compilation_cache_dir) / FOLDER
+
+
+def _compiled(lowered) -> tuple[jax.stages.Compiled, bool]:
+    """The compiled program, and whether it was compiled here.
+
+    What jax's cache has read can not be written again: the copy lacks its functions (seen with jaxlib 0.10.1). So these
+    programs are kept out of that cache.
+    """
+    name = "jax_persistent_cache_min_compile_time_secs"
+    with _compiling:
+        before, hits = getattr(jax.config, name), len(_cache_hits)
+        jax.config.update(name, float("inf"))
+        try:
+            program = lowered.compile()
+        finally:
+            jax.config.update(name, before)
+        return program, len(_cache_hits) == hits
+
+
+_compiling = threading.Lock()
+_cache_hits: list[str] = []
+
+
+def _listen(event: str, **_) -> None:
+    if event.endswith("/cache_hits"):
+        _cache_hits.append(event)
+
+
+jax.monitoring.register_event_listener(_listen)
+
+
+def _settings() -> tuple:
+    config = jax.config
+    return config.jax_enable_x64, config.jax_default_matmul_precision, config.jax_numpy_dtype_promotion
+
+
+class StoredProgram:
+    """A function as `equinox.filter_jit` compiles it, its programs kept on disk.
+
+    **Arguments:** `function`; `compiler_options`: as for `jax.jit`.
+    """
+
+    def __init__(self, function: Callable, compiler_options: dict | None = None):
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._options = compiler_options
+        extra = {} if compiler_options is None else {"compiler_options": compiler_options}
+        self._plain = eqx.filter_jit(function, **extra)
+        self._ready: dict = {}
+        _everyone.append(self)
+
+    def __call__(self, *args, **kwargs):
+        leaves, tree = jax.tree_util.tree_flatten((args, kwargs))
+        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays) or (folder := _folder()) is None:
+            return self._plain(*args, **kwargs)
+        static = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
+        shapes = tuple((x.shape, str(x.dtype), bool(getattr(x, "weak_type", False))) for x in arrays)
+        key = tree, static, shapes, _settings()
+        try:
+            known = self._ready.get(key)
+        except TypeError:
+            return self._plain(*args, **kwargs)
+        if known is None:
+            known = self._prepared(folder, leaves, arrays, tree, shapes)
+            try:
+                if known[0] is not None:
+                    jax.block_until_ready(known[0](*arrays))
+            except jax.errors.JaxRuntimeError:
+                # What was read does not run here.
+                known = None, None
+            self._ready[key] = known
+        program, form = known
+        if program is None:
+            return self._plain(*args, **kwargs)
+        return jax.tree_util.tree_unflatten(form, program(*arrays))
+
+    def _prepared(self, folder, leaves, arrays, tree, shapes):
+        """The program for such arguments and the form of what it returns: from disk, or compiled and kept there; None
+        twice where it can not be kept."""
+        places = [k for k, leaf in enumerate(leaves) if eqx.is_array(leaf)]
+        try:
+            if not self._function.__qualname__.isidentifier():
+                return None, None
+            frame = jax.tree_util.tree_unflatten(tree, [_Array() if eqx.is_array(x) else x for x in leaves])
+            options = sorted((self._options or {}).items())
+            name = f"{self._function.__module__}.{self._function.__qualname__}"
+            wanted = _bytes_of((name, options, shapes, _settings(), frame))
+            path = folder / hashlib.sha256(_surroundings() + wanted).hexdigest()
+        except Exception:
+            return None, None
+        known = _load(path)
+        if known is not None:
+            return known
+
+        def flat(*arrays):
+            filled = list(leaves)
+            for k, array in zip(places, arrays):
+                filled[k] = array
+            args, kwargs = jax.tree_util.tree_unflatten(tree, filled)
+            return jax.tree_util.tree_flatten(self._function(*args, **kwargs))
+
+        forms = []
+
+        def outputs(*arrays):
+            found, form = flat(*arrays)
+            forms.append(form)
+            return found
+
+        outputs.__name__ = f"stored_{self._function.__name__}"
+        extra = {} if self._options is None else {"compiler_options": self._options}
+        lowered = jax.jit(outputs, **extra).lower(*arrays)
+        program, fresh = _compiled(lowered)
+        if fresh:
+            _save(path, program, forms[0])
+        return program, forms[0]
+
+
+def stored(function: Callable | None = None, *, compiler_options: dict | None = None):
+    """Decorator in place of `equinox.filter_jit` that keeps the compiled programs below jax's compilation cache."""
+    if function is None:
+        return lambda f: StoredProgram(f, compiler_options)
+    return StoredProgram(function, compiler_options)
+
+
+def forget() -> None:
+    """Drop the programs that this process has loaded."""
+    for program in _everyone:
+        program._ready.clear()
+
+
+@functools.cache
+def _wake_lapack() -> None:
+    """Have jaxlib look up the functions of LAPACK, which it does when a program that calls one is lowered."""
+    jax.jit(jax.numpy.linalg.cholesky).lower(jax.numpy.eye(1))
+
+
+def _load(path: pathlib.Path):
+    if not path.exists():
+        return None
+    _wake_lapack()
+    try:
+        payload, inputs, form = pickle.loads(path.read_bytes())
+        in_tree = jax.tree_util.tree_structure(((0,) * inputs, {}))
+        form = jax.tree_util.tree_structure(form)
+        out_tree = jax.tree_util.tree_structure([0] * form.num_leaves)
+        return serialize_executable.deserialize_and_load(payload, in_tree, out_tree), form
+    except Exception:
+        return None
+
+
+def _save(path: pathlib.Path, program, form) -> None:
+    try:
+        payload, in_tree, _ = serialize_executable.serialize(program)
+        example = jax.tree_util.tree_unflatten(form, list(range(form.num_leaves)))
+        content = pickle.dumps((payload, in_tree.num_leaves, pickle.loads(_bytes_of(example))), protocol=5)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(content)
+        os.replace(file.name, path)
+    except Exception:
+        return

@@ -1,0 +1,82 @@
+"""Programs kept on disk: a new process finds them without tracing, and nothing foreign or stale is ever run."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgray.mechanics.effects.base import Place
+from jaxgray.numerics import stored_programs
+from jaxgray.numerics.backend import flags_are_known
+from jaxgray.numerics.stored_programs import StoredProgram
+
+traced = []
+
+
+def spring(place, matrices, *, power):
+    traced.append(place)
+    M, K = matrices
+    return {"values": jnp.linalg.eigvalsh(jnp.linalg.solve(M, K)) ** power, "place": (jnp.asarray(place.first),)}
+
+
+class Mine(eqx.Module):
+    """Not of the package."""
+
+    first: int = eqx.field(static=True, default=0)
+
+
+HERE = Place("y1", 0)
+M, K = np.diag([2.0, 2.0]), np.array([[2.0, -1.0], [-1.0, 2.0]])
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    if not flags_are_known():
+        pytest.skip("programs are stored with the releases of jaxlib alone that this was tried with")
+    monkeypatch.setattr(stored_programs, "_folder", lambda: tmp_path / "programs")
+    traced.clear()
+    return tmp_path / "programs"
+
+
+def values(place=HERE, *, power=1):
+    return StoredProgram(spring)(place, (M, K), power=power)
+
+
+def test_another_process_runs_it_untraced(folder):
+    first = values()
+    assert len(traced) == 1 and len(list(folder.iterdir())) == 1
+    again = values()
+    assert len(traced) == 1
+    assert jax.tree_util.tree_structure(first) == jax.tree_util.tree_structure(again)
+    np.testing.assert_array_equal(first["values"], again["values"])
+    np.testing.assert_allclose(again["values"], np.linalg.eigvalsh(np.linalg.solve(M, K)), rtol=1e-12)
+
+
+def test_what_is_static_and_the_surroundings_belong_to_the_key(folder, monkeypatch):
+    values()
+    np.testing.assert_allclose(values(power=2)["values"], values()["values"] ** 2)
+    assert values(Place("y2", 1))["place"][0] == 1
+    assert len(traced) == 3 and len(list(folder.iterdir())) == 3
+    monkeypatch.setattr(stored_programs, "_surroundings", lambda: b"other sources")
+    values()
+    assert len(traced) == 4 and len(list(folder.iterdir())) == 4
+
+
+def test_foreign_classes_are_not_stored(folder):
+    assert values(Mine(1))["place"][0] == 1
+    assert not folder.exists()
+
+
+def test_what_cannot_be_read_is_made_again(folder):
+    values()
+    (path,) = folder.iterdir()
+    path.write_bytes(path.read_bytes()[:100])
+    np.testing.assert_array_equal(values()["values"], values()["values"])
+    assert len(traced) == 2
+
+
+def test_traced_arguments_go_through(folder):
+    slope = jax.grad(lambda k: jnp.sum(StoredProgram(spring)(HERE, (jnp.asarray(M), k * K), power=1)["values"]))(1.0)
+    assert slope == pytest.approx(np.trace(np.linalg.solve(M, K)))
+    assert not folder.exists()
