@@ -312,29 +312,20 @@ def test_fractional_damping_follows_the_power_of_frequency(alpha):
     assert np.max(np.abs(got / expected - 1.0)) < 0.015
 
 
-def shifted_mean(function, k, fine=4000):
-    """Mean and first moment about the middle of a function of sample time over sample k."""
-    s = (np.arange(fine) + 0.5) / fine
-    x = np.array([function(k + part) for part in s])
-    return x.mean(), ((s - 0.5) * x).mean()
-
-
-@pytest.mark.parametrize("steps", [0.0, 0.3, 1.0, 2.6, 500.0])
-def test_input_delay_keeps_the_mean_of_every_sample(steps):
-    u = jnp.asarray(U[:30])
-    start, end = by_id("input_delay").apply(jnp.array([steps * TIME]), u, u, TIME)
-    assert np.array_equal(start, end)
-    for k in (0, 1, 2, 7, 29):
-        mean, _ = shifted_mean(lambda t: U[max(int(np.floor(t - steps)), 0)], k)
-        assert start[k] == pytest.approx(mean, abs=1e-3)
-
-
-def test_input_delay_under_a_linear_hold_is_exact_at_the_samples():
-    after = np.append(U[1:30], U[29])
-    start, end = by_id("input_delay").apply(jnp.array([2.3 * TIME]), jnp.asarray(U[:30]), jnp.asarray(after), TIME)
-    expected = np.interp(np.arange(31) - 2.3, np.arange(30), U[:30])
-    np.testing.assert_allclose(start, expected[:-1], atol=1e-13)
-    np.testing.assert_allclose(end, expected[1:], atol=1e-13)
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_input_delay_keeps_mean_and_slope_of_every_sample(hold):
+    u = U[:30]
+    after = u if hold == "zero" else np.append(u[1:], u[-1])
+    apply = jit(lambda tau: by_id("input_delay").apply(tau, jnp.asarray(u), jnp.asarray(after), TIME))
+    s = (np.arange(2000) + 0.5) / 2000
+    for steps in (0.0, 0.3, 1.0, 2.7, 500.0):
+        start, end = np.asarray(apply(jnp.array([steps * TIME])))
+        for k in range(30):
+            t = k + s - steps
+            at = np.maximum(np.floor(t).astype(int), 0)
+            line = np.where(t < 0, u[0], u[at] + (after[at] - u[at]) * (t - at))
+            assert 0.5 * (start[k] + end[k]) == pytest.approx(line.mean(), abs=2e-3)
+            assert end[k] - start[k] == pytest.approx(12.0 * np.mean((s - 0.5) * line), abs=1e-2)
 
 
 @pytest.mark.parametrize("hold", ["zero", "linear"])

@@ -16,14 +16,26 @@ SAMPLES = (0.5, 2.0, 8.0)
 """Typical delays and lags, in samples."""
 
 
-def delayed(series, steps, before):
-    """A series `steps` samples later (any real number ≥ 0) by linear interpolation, `before` ahead of its start."""
-    samples = series.shape[0]
+def late(start, end, steps):
+    """Input at start and end of every sample, straight between them, `steps` samples later (any real number ≥ 0).
+
+    The end of one sample and the beginning of the next then fall into one: the straight line of the same mean and the
+    same least-squares slope stands for the two. At rest at the first value before.
+    """
+    samples = start.shape[0]
     whole = jnp.clip(jnp.floor(steps), 0, samples)
-    part = jnp.clip(steps - whole, -1.0, 1.0)
-    padded = jnp.concatenate([jnp.full(samples + 1, before, dtype=series.dtype), series])
-    late = jnp.arange(samples) + samples + 1 - whole.astype(int)
-    return (1.0 - part) * padded[late] + part * padded[late - 1]
+    f = jnp.clip(steps - whole, -1.0, 1.0)
+    at = jnp.arange(samples) + samples + 1 - whole.astype(int)
+    a, b = (jnp.concatenate([jnp.full(samples + 1, start[0]), x]) for x in (start, end))
+    # From the one before, its share f from 1 − f on; from this one, up to 1 − f.
+    g = 1.0 - f
+    a1, d1, a2, d2 = a[at - 1], (b - a)[at - 1], a[at], (b - a)[at]
+    squares, cubes = (1.0 - g**2) / 2.0, (1.0 - g**3) / 3.0
+    mean = a1 * f + d1 * squares + a2 * g + d2 * g**2 / 2.0
+    before = a1 * squares + d1 * cubes + (f - 1.5) * (a1 * f + d1 * squares)
+    after = a2 * g**2 / 2.0 + d2 * g**3 / 3.0 + (f - 0.5) * (a2 * g + d2 * g**2 / 2.0)
+    slope = 12.0 * (before + after)
+    return mean - slope / 2.0, mean + slope / 2.0
 
 
 def decay(lag):
@@ -84,8 +96,7 @@ class InputDelay(AbstractInputEffect):
         return [np.array([count * scales.sampling_time]) for count in SAMPLES]
 
     def apply(self, p, start, end, time):
-        steps = p[0] / time
-        return delayed(start, steps, start[0]), delayed(end, steps, start[0])
+        return late(start, end, p[0] / time)
 
 
 class ActuatorLag(AbstractInputEffect):
