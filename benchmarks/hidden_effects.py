@@ -219,6 +219,11 @@ def summary(rows):
             table_of_effects(by_kind[kind])
             print(f"\n== {kind}: truth → said")
             confusion(by_kind[kind])
+            behind = sorted(row["rivals_behind"] for row in by_kind[kind] if row.get("rivals_behind") is not None)
+            within = sum(distance <= 10 for distance in behind)
+            print(
+                f"classes with the truth: rivals within 10 of it (BIC) in {within}/{len(behind)}: {np.round(behind, 1)}"
+            )
     for kind in ("null", "raw", "closed_loop", "without"):
         if by_kind[kind]:
             print(f"\n== {kind}")

@@ -101,6 +101,27 @@ def held_out_excess(case, diagnosis):
     return float(np.sqrt(np.mean((rmse / case.noise) ** 2)))
 
 
+def distance_of_rivals(case, diagnosis, truth):
+    """By how much, in BIC, the worst of the false members of a class lies behind the truth refitted; None where there
+    is no class with one hidden effect in it.
+
+    What the truth would reach refitted from itself is not left to the diagnosis: it is what the noise alone costs, less
+    one for every free parameter. Where the best refit ends above that, the difference counts.
+    """
+    found = model_findings(diagnosis)
+    if len(truth) != 1 or len(found) != 1 or len(found[0].members) < 2 or not explains(found[0], truth[0]):
+        return None
+    members, final = found[0].members, diagnosis.extended
+    right = [m.delta_bic for m in members if m.effect == truth[0].id and same_place(m.location, truth[0].place)]
+    wrong = [m.delta_bic for m in members if not (m.effect == truth[0].id and same_place(m.location, truth[0].place))]
+    n, samples = len(case.noise), len(case.y)
+    rmse = np.array([final.rmse["estimation"][f"y{i + 1}"] for i in range(n)])
+    noise = np.sqrt(np.nanmean((case.y - case.clean) ** 2, axis=0))
+    free = 3 * n * (n + 1) // 2 + 2 * n + len(truth[0].parameters)
+    short = max(0.0, float(2 * samples * np.sum(np.log(rmse / noise)) + free))
+    return max(max(right) - d for d in wrong) + short if wrong else None
+
+
 def label(diagnosis, truth):
     """What was said, in a word for the confusion table."""
     found = model_findings(diagnosis)
@@ -136,6 +157,7 @@ def judged(rng, case, diagnosis, *, fresh=10):
         "open": diagnosis.verdict in ("partly", "unexplained"),
         "false_extra": len(extra),
         "class_sizes": [len(f.members) for f in found],
+        "rivals_behind": distance_of_rivals(case, diagnosis, truth),
         "held_out_excess": held_out_excess(case, diagnosis),
         "warnings": list(diagnosis.warnings),
     }
