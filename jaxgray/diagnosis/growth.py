@@ -12,6 +12,7 @@ from .competitor import FlexibleForce
 from .credit import CLEAR, by_free_run, lend, lendable, withdraw
 from .gain import gain_of
 from .grown import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
+from .hidden_modes import hidden_modes
 from .judgement import ACCEPTED, at_bound
 from .problem import Candidate
 from .pruning import prune
@@ -74,6 +75,8 @@ def _rounds(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
         if not screening.fires and not strong:
             closer = _behind_the_noise(bench, growth.stage, screening)
             if closer is None:
+                if turn < most and _accepted(bench, growth, hidden_modes(bench, growth.stage, screening)):
+                    continue
                 return
         if turn == most:
             return
@@ -83,6 +86,9 @@ def _rounds(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
                 closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names)
         ranked = _refitted(bench, growth, screening, closer)
         if not _accepted(bench, growth, ranked) and growth.ruled_out == told_from:
+            refitted = frozenset(attempt.name for attempt in ranked)
+            if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted)):
+                continue
             refuted = screening.fires and _refuted(bench, growth, ranked, searched)
             growth.unexplained = screening.fires and not refuted
             if refuted or turn >= most - 1 or not _lent(bench, growth, ranked):

@@ -1,13 +1,19 @@
 """Which candidates are worth a refit, and from which shapes each begins."""
 
+import dataclasses
+
 import numpy as np
 
+from ..mechanics.effects.base import AbstractMatrixEffect
 from .competitor import FlexibleForce
 from .judgement import ACCEPTED
 from .screening import Score, Screening
 
 TRIED = 4
 """Candidates of a round up to which another place of the best is tried, too."""
+
+LINE_START = 0.03, 0.02
+"""Damping ratio and mass ratio with which a mode at a line of the residual begins."""
 
 SAME = 0.05
 """Relative difference of estimated shape parameters up to which two starts are one."""
@@ -62,7 +68,22 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
             if key in table and not any(same_start(table[key], s) for s in scores):
                 scores.append(table[key])
         del scores[2:]
+        scores += at_lines(scores[0])
     return list(chosen.values())
+
+
+def at_lines(score: Score) -> list[Score]:
+    """For an effect that adds a mode, starts at the strongest lines of the residual; none for others.
+
+    To first order the line of a heavy mass says little: it rings with the structure, which has taken part of it upon
+    itself.
+    """
+    effect, shape = score.shape.effect, score.shape
+    if not (isinstance(effect, AbstractMatrixEffect) and effect.extra):
+        return []
+    values = [np.array([frequency, *LINE_START]) for frequency in dict.fromkeys(shape.scales.lines_hz)]
+    ones = np.ones(len(score.weights))
+    return [dataclasses.replace(score, shape=dataclasses.replace(shape, values=v), weights=ones) for v in values]
 
 
 def same_start(one: Score, other: Score) -> bool:

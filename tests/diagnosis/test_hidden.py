@@ -1,8 +1,9 @@
 """Effects hidden one at a time, in the forces, at inputs and outputs, in the structure or tied to the clock, and looked
 for among many. In one file, since they share what is compiled."""
 
+import hidden
 import pytest
-from found import IDS, check_found, diagnosed, hidden_case, searched
+from found import IDS, SAMPLES, check_found, diagnosed, generator, hidden_case, searched
 
 
 @pytest.mark.parametrize("effect_id", IDS)
@@ -16,3 +17,11 @@ def test_another_number_of_coordinates():
     case = hidden_case("input_delay", dofs=(3,))
     rivals = ["actuator_lag", "sensor_delay", "intersample_hold"]
     check_found(case, diagnosed(case, only=["input_delay", *rivals]))
+
+
+@pytest.mark.parametrize("k", ["0", "1", "6"])
+def test_a_mode_that_rings_like_coloured_noise_is_found(k):
+    rng = generator("a mode that rings", k)
+    case = hidden.random_case(rng, "unmodelled_mode", dofs=(2,), samples=SAMPLES, excess=(1.5, 3.0))
+    rivals = ["sensor_crosstalk", "periodic_disturbance", "fractional_damping"]
+    check_found(case, diagnosed(case, only=["unmodelled_mode", *rivals]))
