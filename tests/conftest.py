@@ -13,6 +13,8 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 cache = pathlib.Path(tempfile.gettempdir()) / f"jaxgray-tests-{os.getuid()}"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+# Whole programs are dropped with every change of the sources; their own tests turn them on.
+os.environ.setdefault("JAXGRAY_PROGRAMS", "0")
 
 import jax  # noqa: E402
 

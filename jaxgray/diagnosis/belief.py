@@ -12,6 +12,12 @@ from .judgement import ACCEPTED, SIGNIFICANT, at_bound, overall, significance
 from .problem import Data
 from .refitting import Attempt
 
+BEYOND_DOUBT = 100.0
+"""ΔBIC from which the likelihood says that an effect is there, whatever the error of its amplitude."""
+
+MOVED_ALONG = 2.0
+"""Standard errors that are then enough."""
+
 EXPLAINED = 0.1
 """Least share of the excess that a finding must explain."""
 
@@ -42,7 +48,9 @@ def unsound(bench: Bench, growth: Growth, attempt: Attempt) -> str | None:
     if bound is not None:
         return f"{bound} ran to its physical bound"
     size = significance(attempt.fit, Layout(bench.simulator.setup, attempt.fit.candidate), last)
-    return f"only {size:.1f} standard errors from nothing" if size < SIGNIFICANT else None
+    # An amplitude that a shape moves along with has a wide error, though nothing explains the record without it.
+    least = SIGNIFICANT if attempt.delta_bic < BEYOND_DOUBT else MOVED_ALONG
+    return f"only {size:.1f} standard errors from nothing" if size < least else None
 
 
 def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
@@ -65,8 +73,11 @@ def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
     if is_local(bench, attempt.name[0]) or not bench.validation:
         runs = growth.runs
         gain = gain_of(*seen, floor, names, held_out=False, rng=bench.rng)
-        # What was fitted to these data always gains a little.
-        sure = gain.ci99_lower > 0 and gain.ci95[0] > 0
+        # What was fitted to these data always gains a little. Beside what it mends itself: how far the error varied
+        # that earlier findings took away is nothing to it.
+        left, after, _ = seen
+        alone = gain_of(left, after, left, floor, names, held_out=False, rng=bench.rng)
+        sure = alone.ci99_lower > 0 and alone.ci95[0] > 0
         return (None if sure else "no sure gain, even on the data of the fit"), gain, runs
     runs = [held_out_run(bench, attempt.fit.candidate, d) for d in bench.validation]
     if not all(np.all(np.isfinite(run.e)) for run in runs):

@@ -22,6 +22,9 @@ LEVEL = 0.01
 CLEARLY = float(np.sqrt(scipy.special.chdtri(1, LEVEL)))
 """The same in standard errors of one parameter."""
 
+STANDING_LEVEL = 0.1
+"""The same for laws that stand for one another: a parameter that may well be there leaves both of them."""
+
 SPECIAL = {("bouc_wen_hysteresis", "dahl_friction")}
 """Laws that contain another under other names: Dahl's friction is A = Fc/x_d, beta = 1/x_d, gamma = 0."""
 
@@ -46,8 +49,8 @@ def simplified(ranked: list[Attempt]) -> list[Attempt]:
 
 def needless(rival: Attempt, best: Attempt) -> bool:
     """Whether a rival is the best law at its place with more parameters, which do not pay (likelihood ratio) or are
-    near nothing, both at 1 %, since several laws with more in them are tried. Only the ratio speaks where the names of
-    the parameters differ."""
+    near nothing, both at 1 %, since several laws with more in them are tried. Only the ratio speaks, at 10 %, where the
+    names of the parameters differ and the laws stand for one another."""
     small, large = best.score.shape, rival.score.shape
     special = (large.effect.id, small.effect.id) in SPECIAL
     if rival.name[1] != best.name[1] or not (special or small.effect.id in large.effect.contains):
@@ -62,4 +65,5 @@ def needless(rival: Attempt, best: Attempt) -> bool:
     if not special and further and all(abs(value) < CLEARLY * error for value, error in further):
         return True
     ratio = best.criterion - best.penalty - (rival.criterion - rival.penalty)
-    return ratio < scipy.special.chdtri(max(large.free - small.free, 1), LEVEL)
+    level = STANDING_LEVEL if special else LEVEL
+    return ratio < scipy.special.chdtri(max(large.free - small.free, 1), level)

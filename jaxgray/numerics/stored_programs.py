@@ -26,6 +26,9 @@ from .backend import flags_are_known
 FOLDER = "jaxgray-programs"
 """Below the folder of jax's compilation cache."""
 
+SWITCH = "JAXGRAY_PROGRAMS"
+"""Environment variable; 0 keeps nothing. Whoever changes the package compiles less with jax's cache alone."""
+
 OURS = frozenset({"jaxgray", "jax", "jaxlib", "equinox", "numpy", "builtins", "copyreg", "collections", "functools"})
 """Packages whose code a key vouches for, by their release or by the sources; a user's own class may change unseen."""
 
@@ -91,6 +94,8 @@ def _folder() -> pathlib.Path | None:
     """Where programs are kept; None for nowhere."""
     config = jax.config
     if not config.jax_compilation_cache_dir or not config.jax_enable_compilation_cache:
+        return None
+    if os.environ.get(SWITCH) == "0":
         return None
     if (
         not flags_are_known()

@@ -5,6 +5,9 @@ All in one file: the workers of a test run share files out, and each would compi
 
 import dataclasses
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from independent import REFERENCE, REFERENCE_TIME, reference_record, relative_er
 import jaxgray
 from jaxgray.cli import main
 from jaxgray.mechanics.simulate import initial_state
+from jaxgray.numerics.backend import flags_are_known
 from jaxgray.report.figures import MOST_POINTS, bode, compare, residuals, sweep_map
 from jaxgray.report.terms import term_of
 
@@ -73,6 +77,24 @@ def test_identify_writes_strict_json(identified):
     assert found["residual_test"] == {"white": True, "input_explained": False, "feedback": False}
     assert found["structure_test"]["fits"]
     assert found["records"]["estimation"][0]["samples"] == 2000
+
+
+def test_a_later_process_runs_the_programs_of_the_first(records, tmp_path):
+    code = "import sys; from jaxgray.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, "identify", str(records[0]), *CHANNELS, "--quiet", "--json"]
+    here = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "JAXGRAY_PROGRAMS": "1"}
+    here.pop("JAX_COMPILATION_CACHE_DIR")
+
+    def identified_by_another(name):
+        subprocess.run([*command, str(tmp_path / name)], check=True, env=here, stderr=subprocess.DEVNULL)
+        programs = [path.stat() for path in tmp_path.glob("jaxgray/xla/*/jaxgray-programs/*")]
+        return strict((tmp_path / name).read_text()), {(one.st_ino, one.st_mtime_ns) for one in programs}
+
+    first, programs = identified_by_another("first.json")
+    again, later = identified_by_another("again.json")
+    assert again["model"] == first["model"] and again["fit_percent"] == first["fit_percent"]
+    if flags_are_known():
+        assert programs and later == programs
 
 
 def test_without_refinement_what_is_not_known_is_null(records, capsys):
