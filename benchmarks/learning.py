@@ -1,6 +1,6 @@
 """The worked examples of learning, each on 20 unseen records: acceptance figures beside their bars.
 
-    python benchmarks/learning.py [--part weights force excitation] [--records 20] [--json OUT]
+    python benchmarks/learning.py [--part weights force excitation] [--records 20] [--first SEED] [--json OUT]
 
 Data come from SciPy, in the examples themselves, never from jaxgray.
 
@@ -27,8 +27,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 EXAMPLES = pathlib.Path(__file__).resolve().parents[1] / "examples"
-FIRST_SEED = 5000
-"""Of the records, which no example and no choice in it has seen."""
+SEED = 5000
+"""Of the first record, where none is given: no example, and no choice in one, has seen these."""
 
 
 def example(name):
@@ -39,10 +39,10 @@ def example(name):
     return module
 
 
-def weights(records):
+def weights(records, first):
     """Quartiles of the error with the default and with what was learned."""
     module = example("learned_weights")
-    found = module.run(0, range(FIRST_SEED, FIRST_SEED + records), 40)
+    found = module.run(0, range(first, first + records), 40)
     quartiles = {name: np.quantile(found[name], [0, 0.25, 0.5, 0.75, 1]).tolist() for name in ("default", "learned")}
     for name, q in quartiles.items():
         print(f"weights    {name:8s} error in % of the motion: " + "  ".join(f"{100 * v:.3f}" for v in q))
@@ -51,11 +51,11 @@ def weights(records):
     return {"error": {k: found[k].tolist() for k in quartiles}, "quartiles": quartiles, "met": all(better[1:4])}
 
 
-def force(records):
+def force(records, first):
     """Deviations of M, D, K in standard errors, and held-out errors, of every record."""
     module = example("learned_force")
     rows = []
-    for seed in range(FIRST_SEED, FIRST_SEED + records):
+    for seed in range(first, first + records):
         found = module.run(seed, 1500)
         z = (found["joint"] - found["truth"]) / found["standard_errors"]
         linear = np.abs(found["linear"] - found["truth"]) / found["standard_errors"]
@@ -87,11 +87,11 @@ def rms(x):
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-def excitation(records):
+def excitation(records, first):
     """Predicted and found variance of the chosen entry, over several designs."""
     module = example("designed_excitation")
     rows = []
-    for seed in range(FIRST_SEED, FIRST_SEED + records):
+    for seed in range(first, first + records):
         found = module.run(seed, 400, 40)
         chosen = module.CHOSEN
         row = {name: {k: float(part[k][chosen]) for k in ("predicted", "found")} for name, part in found.items()}
@@ -120,12 +120,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--part", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--records", type=int, default=20)
+    parser.add_argument("--first", type=int, default=SEED, help="seed of the first record")
     parser.add_argument("--json", type=pathlib.Path)
     arguments = parser.parse_args()
     results = {}
     for name in arguments.part:
         begun = time.perf_counter()
-        results[name] = PARTS[name](arguments.records)
+        results[name] = PARTS[name](arguments.records, arguments.first)
         results[name]["seconds"] = time.perf_counter() - begun
         print(f"{name:10s} {'met' if results[name]['met'] else 'NOT MET'} in {results[name]['seconds']:.0f} s")
         if arguments.json:
