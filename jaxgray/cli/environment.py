@@ -2,8 +2,9 @@
 
 import hashlib
 import os
-import platform
 from pathlib import Path
+
+from ..numerics.backend import processor
 
 
 def prepare(*, verbose: bool = False) -> None:
@@ -31,19 +32,9 @@ def cache_folder() -> Path | None:
     Compiled code holds the instructions of the processor it was made on, and a home directory may be shared.
     """
     base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    folder = Path(base) / "jaxgray" / "xla" / _processor()
+    folder = Path(base) / "jaxgray" / "xla" / hashlib.sha256(processor().encode()).hexdigest()[:12]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
         return None
     return folder if os.access(folder, os.W_OK | os.X_OK) else None
-
-
-def _processor() -> str:
-    features = platform.machine() + platform.processor()
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            features += next((line for line in file if line.startswith(("flags", "Features"))), "")
-    except OSError:
-        pass
-    return hashlib.sha256(features.encode()).hexdigest()[:12]

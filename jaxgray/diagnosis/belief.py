@@ -5,6 +5,7 @@ import numpy as np
 from ..identification.validation import residual_test
 from ..mechanics.effects.sensor import SensorCrosstalk
 from .bench import Bench
+from .credit import CLEAR
 from .extension import Layout
 from .gain import gain_of
 from .grown import Growth, held_out_run, is_local, runs_seen
@@ -12,11 +13,8 @@ from .judgement import ACCEPTED, SIGNIFICANT, at_bound, overall, significance
 from .problem import Data
 from .refitting import Attempt
 
-BEYOND_DOUBT = 100.0
-"""ΔBIC from which the likelihood says that an effect is there, whatever the error of its amplitude."""
-
 MOVED_ALONG = 2.0
-"""Standard errors that are then enough."""
+"""Standard errors of an amplitude that are enough where the likelihood is clear."""
 
 EXPLAINED = 0.1
 """Least share of the excess that a finding must explain."""
@@ -49,7 +47,7 @@ def unsound(bench: Bench, growth: Growth, attempt: Attempt) -> str | None:
         return f"{bound} ran to its physical bound"
     size = significance(attempt.fit, Layout(bench.simulator.setup, attempt.fit.candidate), last)
     # An amplitude that a shape moves along with has a wide error, though nothing explains the record without it.
-    least = SIGNIFICANT if attempt.delta_bic < BEYOND_DOUBT else MOVED_ALONG
+    least = SIGNIFICANT if attempt.delta_bic < CLEAR else MOVED_ALONG
     return f"only {size:.1f} standard errors from nothing" if size < least else None
 
 

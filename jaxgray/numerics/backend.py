@@ -6,6 +6,7 @@ It reads its environment once, when it starts, which the first array may do. Wha
 
 import importlib.metadata
 import os
+import platform
 import re
 
 LEAST_THREADS = 4
@@ -35,6 +36,17 @@ def prepare() -> None:
 def cores() -> int:
     """Cores that this process may use: those of the machine, or fewer where it has been given a share."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def processor() -> str:
+    """Kind and features of the processor, where the system tells: compiled code holds its instructions."""
+    features = platform.machine() + platform.processor()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            features += next((line for line in file if line.startswith(("flags", "Features"))), "")
+    except OSError:
+        pass
+    return features
 
 
 def host_devices() -> int:

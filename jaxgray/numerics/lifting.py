@@ -68,18 +68,39 @@ def lift(
     """
     states, inputs = B.shape
     outputs = C.shape[0]
-    chain = powers(A, block + 1)
-    observability = C @ chain[:block]
-    to_state = chain[:block] @ B
-    markov = jnp.concatenate([D[None], observability[: block - 1] @ B], axis=0)
-    lag = jnp.arange(block)[:, None] - jnp.arange(block)[None, :]
-    toeplitz = jnp.where((lag >= 0)[:, :, None, None], markov[jnp.maximum(lag, 0)], 0.0)
+    observability, markov, to_state, transition = over_a_block(A, B, C, D, block)
     return LiftedSystem(
         observability=observability.reshape(block * outputs, states),
-        toeplitz=toeplitz.transpose(0, 2, 1, 3).reshape(block * outputs, block * inputs),
-        reachability=to_state[::-1].transpose(1, 0, 2).reshape(states, block * inputs),
-        transition=chain[block],
+        toeplitz=by_lag(markov).transpose(0, 2, 1, 3).reshape(block * outputs, block * inputs),
+        reachability=to_state.transpose(1, 0, 2).reshape(states, block * inputs),
+        transition=transition,
     )
+
+
+def over_a_block(
+    A: Float[Array, "states states"],
+    B: Float[Array, "states inputs"],
+    C: Float[Array, "outputs states"],
+    D: Float[Array, "outputs inputs"],
+    block: int,
+) -> tuple[
+    Float[Array, "block outputs states"],
+    Float[Array, "block outputs inputs"],
+    Float[Array, "block states inputs"],
+    Float[Array, "states states"],
+]:
+    """What a block of samples does, sample by sample, for whatever layout: C A^s; the Markov parameters, from D on;
+    from the input of every sample to the state after the block; A^block."""
+    chain = powers(A, block + 1)
+    seen = C @ chain[:block]
+    markov = jnp.concatenate([D[None], seen[: block - 1] @ B], axis=0)
+    return seen, markov, (chain[:block] @ B)[::-1], chain[block]
+
+
+def by_lag(markov: Float[Array, "block outputs inputs"]) -> Float[Array, "block block outputs inputs"]:
+    """[s, s′]: from the input of sample s′ to the output of sample s, zero where that is earlier."""
+    lag = jnp.arange(len(markov))[:, None] - jnp.arange(len(markov))[None, :]
+    return jnp.where((lag >= 0)[:, :, None, None], markov[jnp.maximum(lag, 0)], 0.0)
 
 
 def block_starts(

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .lifting import SHORT_BLOCK, block_starts, powers
+from .lifting import SHORT_BLOCK, block_starts, by_lag, over_a_block
 
 
 def by_blocks(signal: Float[Array, "samples channels"]) -> Float[Array, "channel_block blocks"]:
@@ -43,9 +43,8 @@ class ChannelBlocks(eqx.Module):
     def toeplitz(self) -> Float[Array, "outputs_block inputs_block"]:
         """From the inputs of a block to its outputs."""
         outputs, inputs, block = self.markov.shape
-        lag = jnp.arange(block)[:, None] - jnp.arange(block)[None, :]
-        laid = jnp.where(lag >= 0, self.markov[:, :, jnp.maximum(lag, 0)], 0.0)
-        return laid.transpose(0, 2, 1, 3).reshape(outputs * block, inputs * block)
+        laid = by_lag(self.markov.transpose(2, 0, 1))
+        return laid.transpose(2, 0, 3, 1).reshape(outputs * block, inputs * block)
 
 
 def lift_by_channel(
@@ -56,14 +55,12 @@ def lift_by_channel(
 ) -> ChannelBlocks:
     """Block form of a discrete-time system for signals laid out by `by_blocks`."""
     states, outputs = len(A), len(C)
-    chain = powers(A, SHORT_BLOCK + 1)
-    seen = C @ chain[:SHORT_BLOCK]
-    markov = jnp.concatenate([D[None], seen[:-1] @ B])
+    observability, markov, to_state, transition = over_a_block(A, B, C, D, SHORT_BLOCK)
     return ChannelBlocks(
-        observability=seen.transpose(1, 0, 2).reshape(outputs * SHORT_BLOCK, states),
+        observability=observability.transpose(1, 0, 2).reshape(outputs * SHORT_BLOCK, states),
         markov=markov.transpose(1, 2, 0),
-        reachability=(chain[:SHORT_BLOCK] @ B)[::-1].transpose(1, 2, 0).reshape(states, -1),
-        transition=chain[SHORT_BLOCK],
+        reachability=to_state.transpose(1, 2, 0).reshape(states, -1),
+        transition=transition,
     )
 
 

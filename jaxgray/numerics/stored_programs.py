@@ -12,16 +12,15 @@ import io
 import os
 import pathlib
 import pickle
-import platform
-import tempfile
 import threading
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 from jax.experimental import serialize_executable
 
-from .backend import flags_are_known
+from .backend import flags_are_known, processor
 
 FOLDER = "jaxgray-programs"
 """Below the folder of jax's compilation cache."""
@@ -50,7 +49,8 @@ class _Pickler(pickle.Pickler):
     """Bytes that depend on values alone, of nothing but known classes and functions."""
 
     def reducer_override(self, obj):
-        if isinstance(obj, type) or callable(getattr(obj, "__qualname__", None)) or hasattr(obj, "__qualname__"):
+        # Classes and functions have one.
+        if hasattr(obj, "__qualname__"):
             module = getattr(obj, "__module__", None) or "builtins"
             if module.split(".")[0] not in OURS or "<locals>" in obj.__qualname__:
                 raise _Foreign(f"{module}.{obj.__qualname__}")
@@ -75,19 +75,9 @@ def _surroundings() -> bytes:
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     device = jax.local_devices()[0]
     versions = [jax.__version__, jax.lib.__version__, eqx.__version__, device.client.platform_version]
-    machine = [device.platform, device.device_kind, platform.machine(), _processor(), os.environ.get("XLA_FLAGS", "")]
+    machine = [device.platform, device.device_kind, processor(), os.environ.get("XLA_FLAGS", "")]
     digest.update(repr(versions + machine).encode())
     return digest.digest()
-
-
-def _processor() -> str:
-    """Model and features of the processor, where the system tells."""
-    try:
-        lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return platform.processor()
-    wanted = ("model name", "flags", "Features", "CPU part")
-    return "\n".join(dict.fromkeys(line for line in lines if line.startswith(wanted)))
 
 
 def _folder() -> pathlib.Path | None:
@@ -108,6 +98,21 @@ def _folder() -> pathlib.Path | None:
     return pathlib.Path(config.jax_compilation_cache_dir) / FOLDER
 
 
+class _Hits:
+    """How many programs jax's cache has given to this process so far."""
+
+    count = 0
+
+    @classmethod
+    def listen(cls, event: str, **_) -> None:
+        cls.count += event.endswith("/cache_hits")
+
+
+jax.monitoring.register_event_listener(_Hits.listen)
+
+_compiling = threading.Lock()
+
+
 def _compiled(lowered) -> tuple[jax.stages.Compiled, bool]:
     """The compiled program, and whether it was compiled here.
 
@@ -116,30 +121,25 @@ def _compiled(lowered) -> tuple[jax.stages.Compiled, bool]:
     """
     name = "jax_persistent_cache_min_compile_time_secs"
     with _compiling:
-        before, hits = getattr(jax.config, name), len(_cache_hits)
+        before, hits = getattr(jax.config, name), _Hits.count
         jax.config.update(name, float("inf"))
         try:
             program = lowered.compile()
         finally:
             jax.config.update(name, before)
-        return program, len(_cache_hits) == hits
-
-
-_compiling = threading.Lock()
-_cache_hits: list[str] = []
-
-
-def _listen(event: str, **_) -> None:
-    if event.endswith("/cache_hits"):
-        _cache_hits.append(event)
-
-
-jax.monitoring.register_event_listener(_listen)
+        return program, _Hits.count == hits
 
 
 def _settings() -> tuple:
     config = jax.config
     return config.jax_enable_x64, config.jax_default_matmul_precision, config.jax_numpy_dtype_promotion
+
+
+class _Known(NamedTuple):
+    """A compiled program of flat arguments and results, and the form of what it returns."""
+
+    program: jax.stages.Compiled
+    form: jax.tree_util.PyTreeDef
 
 
 class StoredProgram:
@@ -154,7 +154,7 @@ class StoredProgram:
         self._options = compiler_options
         extra = {} if compiler_options is None else {"compiler_options": compiler_options}
         self._plain = eqx.filter_jit(function, **extra)
-        self._ready: dict = {}
+        self._ready: dict[tuple, _Known | None] = {}
         _everyone.append(self)
 
     def __call__(self, *args, **kwargs):
@@ -162,66 +162,58 @@ class StoredProgram:
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays) or (folder := _folder()) is None:
             return self._plain(*args, **kwargs)
-        static = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
+        static = tuple(None if eqx.is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
         shapes = tuple((x.shape, str(x.dtype), bool(getattr(x, "weak_type", False))) for x in arrays)
         key = tree, static, shapes, _settings()
         try:
-            known = self._ready.get(key)
+            new = key not in self._ready
         except TypeError:
             return self._plain(*args, **kwargs)
+        if new:
+            self._ready[key] = self._prepared(folder, leaves, arrays, tree, shapes)
+        known = self._ready[key]
         if known is None:
-            known = self._prepared(folder, leaves, arrays, tree, shapes)
-            try:
-                if known[0] is not None:
-                    jax.block_until_ready(known[0](*arrays))
-            except jax.errors.JaxRuntimeError:
-                # What was read does not run here.
-                known = None, None
-            self._ready[key] = known
-        program, form = known
-        if program is None:
             return self._plain(*args, **kwargs)
-        return jax.tree_util.tree_unflatten(form, program(*arrays))
+        try:
+            found = known.program(*arrays)
+            # Once, to see that what was read runs here.
+            found = jax.block_until_ready(found) if new else found
+        except jax.errors.JaxRuntimeError:
+            self._ready[key] = None
+            return self._plain(*args, **kwargs)
+        return jax.tree_util.tree_unflatten(known.form, found)
 
-    def _prepared(self, folder, leaves, arrays, tree, shapes):
-        """The program for such arguments and the form of what it returns: from disk, or compiled and kept there; None
-        twice where it can not be kept."""
-        places = [k for k, leaf in enumerate(leaves) if eqx.is_array(leaf)]
+    def _prepared(self, folder, leaves, arrays, tree, shapes) -> "_Known | None":
+        """The program for such arguments: from disk, or compiled and kept there; None where it can not be kept."""
+        options = {} if self._options is None else {"compiler_options": self._options}
         try:
             if not self._function.__qualname__.isidentifier():
-                return None, None
+                return None
             frame = jax.tree_util.tree_unflatten(tree, [_Array() if eqx.is_array(x) else x for x in leaves])
-            options = sorted((self._options or {}).items())
             name = f"{self._function.__module__}.{self._function.__qualname__}"
-            wanted = _bytes_of((name, options, shapes, _settings(), frame))
+            wanted = _bytes_of((name, sorted((self._options or {}).items()), shapes, _settings(), frame))
             path = folder / hashlib.sha256(_surroundings() + wanted).hexdigest()
         except Exception:
-            return None, None
+            return None
         known = _load(path)
         if known is not None:
             return known
-
-        def flat(*arrays):
-            filled = list(leaves)
-            for k, array in zip(places, arrays):
-                filled[k] = array
-            args, kwargs = jax.tree_util.tree_unflatten(tree, filled)
-            return jax.tree_util.tree_flatten(self._function(*args, **kwargs))
-
         forms = []
 
-        def outputs(*arrays):
-            found, form = flat(*arrays)
+        def flat(*arrays):
+            remaining = iter(arrays)
+            filled = [next(remaining) if eqx.is_array(leaf) else leaf for leaf in leaves]
+            args, kwargs = jax.tree_util.tree_unflatten(tree, filled)
+            found, form = jax.tree_util.tree_flatten(self._function(*args, **kwargs))
             forms.append(form)
             return found
 
-        outputs.__name__ = f"stored_{self._function.__name__}"
-        extra = {} if self._options is None else {"compiler_options": self._options}
-        lowered = jax.jit(outputs, **extra).lower(*arrays)
-        program, fresh = _compiled(lowered)
+        flat.__name__ = f"stored_{self._function.__name__}"
+        program, fresh = _compiled(jax.jit(flat, **options).lower(*arrays))
+        known = _Known(program, forms[0])
         if fresh:
-            _save(path, program, forms[0])
-        return program, forms[0]
+            _save(path, known)
+        return known
 
 
 def stored(function: Callable | None = None, *, compiler_options: dict | None = None):
@@ -243,28 +235,30 @@ def _wake_lapack() -> None:
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.numpy.eye(1))
 
 
-def _load(path: pathlib.Path):
+def _load(path: pathlib.Path) -> _Known | None:
+    """The program that `_save` wrote; None where there is none that can be read."""
     if not path.exists():
         return None
     _wake_lapack()
     try:
-        payload, inputs, form = pickle.loads(path.read_bytes())
+        payload, inputs, example = pickle.loads(path.read_bytes())
         in_tree = jax.tree_util.tree_structure(((0,) * inputs, {}))
-        form = jax.tree_util.tree_structure(form)
+        form = jax.tree_util.tree_structure(example)
         out_tree = jax.tree_util.tree_structure([0] * form.num_leaves)
-        return serialize_executable.deserialize_and_load(payload, in_tree, out_tree), form
+        return _Known(serialize_executable.deserialize_and_load(payload, in_tree, out_tree), form)
     except Exception:
         return None
 
 
-def _save(path: pathlib.Path, program, form) -> None:
+def _save(path: pathlib.Path, known: _Known) -> None:
+    """Write a program, whole or not at all; where that fails, the next process compiles it again."""
+    part = path.with_suffix(f".{os.getpid()}")
     try:
-        payload, in_tree, _ = serialize_executable.serialize(program)
-        example = jax.tree_util.tree_unflatten(form, list(range(form.num_leaves)))
+        payload, in_tree, _ = serialize_executable.serialize(known.program)
+        example = jax.tree_util.tree_unflatten(known.form, list(range(known.form.num_leaves)))
         content = pickle.dumps((payload, in_tree.num_leaves, pickle.loads(_bytes_of(example))), protocol=5)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(content)
-        os.replace(file.name, path)
+        part.write_bytes(content)
+        os.replace(part, path)
     except Exception:
-        return
+        part.unlink(missing_ok=True)

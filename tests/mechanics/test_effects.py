@@ -312,12 +312,17 @@ def test_fractional_damping_follows_the_power_of_frequency(alpha):
     assert np.max(np.abs(got / expected - 1.0)) < 0.015
 
 
+def held(effect_id, hold, samples):
+    """Input at the start and at the end of every sample, an effect's law for it, and points within a sample."""
+    u = U[:samples]
+    after = u if hold == "zero" else np.append(u[1:], u[-1])
+    apply = jit(lambda p: by_id(effect_id).apply(p, jnp.asarray(u), jnp.asarray(after), TIME))
+    return u, after, apply, (np.arange(2000) + 0.5) / 2000
+
+
 @pytest.mark.parametrize("hold", ["zero", "linear"])
 def test_input_delay_keeps_mean_and_slope_of_every_sample(hold):
-    u = U[:30]
-    after = u if hold == "zero" else np.append(u[1:], u[-1])
-    apply = jit(lambda tau: by_id("input_delay").apply(tau, jnp.asarray(u), jnp.asarray(after), TIME))
-    s = (np.arange(2000) + 0.5) / 2000
+    u, after, apply, s = held("input_delay", hold, 30)
     for steps in (0.0, 0.3, 1.0, 2.7, 500.0):
         start, end = np.asarray(apply(jnp.array([steps * TIME])))
         for k in range(30):
@@ -330,10 +335,7 @@ def test_input_delay_keeps_mean_and_slope_of_every_sample(hold):
 
 @pytest.mark.parametrize("hold", ["zero", "linear"])
 def test_actuator_lag_keeps_mean_and_slope_of_every_sample(hold):
-    u = U[:20]
-    after = u if hold == "zero" else np.append(u[1:], u[-1])
-    apply = jit(lambda tau: by_id("actuator_lag").apply(tau, jnp.asarray(u), jnp.asarray(after), TIME))
-    s = (np.arange(2000) + 0.5) / 2000
+    u, after, apply, s = held("actuator_lag", hold, 20)
     for lag in (0.0, 0.004, 0.2, 1.5, 9.9, 10.1, 300.0):
         start, end = np.asarray(apply(jnp.array([lag * TIME])))
         x = u[0]
