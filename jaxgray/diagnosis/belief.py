@@ -11,7 +11,7 @@ from .gain import gain_of
 from .grown import Growth, held_out_run, is_local, runs_seen
 from .judgement import ACCEPTED, SIGNIFICANT, at_bound, overall, significance
 from .problem import Data
-from .refitting import Attempt
+from .refitting import Attempt, unresolved
 
 MOVED_ALONG = 2.0
 """Standard errors of an amplitude that are enough where the likelihood is clear."""
@@ -45,6 +45,9 @@ def unsound(bench: Bench, growth: Growth, attempt: Attempt) -> str | None:
     bound = at_bound(attempt.fit, last)
     if bound is not None:
         return f"{bound} ran to its physical bound"
+    other_law = unresolved(attempt.fit, attempt.score)
+    if other_law is not None:
+        return other_law
     size = significance(attempt.fit, Layout(bench.simulator.setup, attempt.fit.candidate), last)
     # An amplitude that a shape moves along with has a wide error, though nothing explains the record without it.
     least = SIGNIFICANT if attempt.delta_bic < CLEAR else MOVED_ALONG

@@ -16,7 +16,7 @@ from .hidden_modes import hidden_modes
 from .judgement import ACCEPTED, at_bound
 from .problem import Candidate
 from .pruning import prune
-from .refitting import Attempt, attempts_of, compared
+from .refitting import Attempt, attempts_of, compared, unresolved
 from .rejudging import rejudge
 from .residual import white_chain
 from .result import Rejected
@@ -210,6 +210,8 @@ def _class_of(attempt: Attempt, others: list[Attempt]) -> tuple[tuple[Attempt, .
             why = f"the same as {attempt.name[0]} with a parameter that explains nothing"
         elif (bound := at_bound(other.fit, len(other.fit.candidate.terms) - 1)) is not None:
             why = f"{bound} ran to its physical bound"
+        elif (other_law := unresolved(other.fit, other.score)) is not None:
+            why = other_law
         else:
             rivals.append(other)
             continue

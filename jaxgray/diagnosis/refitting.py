@@ -94,12 +94,20 @@ def criterion_of(bench: Bench, score: Score, fit: Refit) -> float:
     return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(bench, score)
 
 
+def unresolved(fit: Refit, score: Score) -> str | None:
+    """Why a law at the end of a refit is another one there, as far as the record shows; None where it is not."""
+    shape = score.shape
+    term = next(t for t in fit.candidate.terms if (t.effect.id, t.place.name) == _name(score))
+    name = shape.effect.unresolved(np.array(term.values, dtype=float), shape.scales)
+    return None if name is None else f"{name} is far less than the place moves in a sample: no more than dry friction"
+
+
 def _outright(
     bench: Bench, stage: Stage, listed: list[list[Score]], chain: Chain, rejected: list[Rejected]
 ) -> dict[tuple[str, str], tuple[Score, Refit]]:
     """Refits from the model without the candidate, under one chain first, then those that are left to their end."""
     rough: dict[tuple[str, str], tuple[float, Score, Refit]] = {}
-    best = np.inf
+    best, hidden = np.inf, {}
     for k, scores in enumerate(listed):
         name = _name(scores[0])
         bench.progress.stage(f"refitting {name[0]} at {name[1]}", fraction=k / len(listed))
@@ -108,11 +116,16 @@ def _outright(
             if fit is None:
                 continue
             criterion = criterion_of(bench, score, fit)
+            if unresolved(fit, score):
+                # Another law under this one's name, which others must not be measured by.
+                hidden[name] = unresolved(fit, score)
+                continue
             best = min(best, criterion)
             if name not in rough or criterion < rough[name][0]:
                 rough[name] = criterion, score, fit
         if name not in rough:
-            rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
+            why = hidden.get(name, "its refit could not be simulated")
+            rejected.append(Rejected(*name, scores[0].delta_bic, why))
     fits = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
         if criterion > best + HOPELESS:

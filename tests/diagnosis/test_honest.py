@@ -60,6 +60,19 @@ def test_a_law_is_found_from_where_the_linear_model_has_gone_astray():
         check_parameter(found.parameters[name], true, name, str(diagnosis))
 
 
+def test_a_hysteresis_shorter_than_a_sample_does_not_stand_for_friction_and_a_spring():
+    # A record of a campaign: two stops that gave way within a thousandth of a sample stood for both effects.
+    pair, rng = ("stribeck_friction", "cubic_stiffness"), np.random.default_rng([78301, 2, 10])
+    case = hidden.random_pair(rng, pair=pair, dofs=(1, 2, 3), samples=3000, excess=(1.5, 4.0))
+    diagnosis = diagnosed(case, only=[*pair, "coulomb_friction", "maxwell_slip_hysteresis"])
+    found = model_findings(diagnosis)
+    assert {f.effect for f in found} == {*pair} and diagnosis.verdict == "named", str(diagnosis)
+    for effect in case.effects:
+        (finding,) = (f for f in found if f.effect == effect.id)
+        for name, true in effect.parameters.items():
+            check_parameter(finding.parameters[name], true, name, str(diagnosis))
+
+
 def test_what_is_not_in_the_catalogue_is_not_given_its_name():
     case = hidden_case("cubic_stiffness", excess=(2.0, 3.0))
     stand_ins = ["cubic_stiffness", "sine_stiffness", "end_stop", "dead_zone_stiffness"]

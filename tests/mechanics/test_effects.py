@@ -293,6 +293,20 @@ def test_maxwell_slip_is_the_sum_of_stops():
     np.testing.assert_allclose(driven(by_id("maxwell_slip_hysteresis"), [2.0, 1.0, 0.3, 0.9], q), force, atol=1e-12)
 
 
+def test_a_hysteresis_shorter_than_a_sample_is_said_to_be_unresolved():
+    way = SCALES.v * SCALES.sampling_time
+    laws = {
+        "dahl_friction": lambda d: [1.0, d],
+        "bouc_wen_hysteresis": lambda d: [1.0, 0.75 / d, 0.25 / d],
+        "maxwell_slip_hysteresis": lambda d: [1.0, 1.0, 10 * way, d],
+    }
+    for name, values in laws.items():
+        effect = by_id(name)
+        assert effect.unresolved(np.array(values(0.001 * way)), SCALES), name
+        assert effect.unresolved(np.array(values(0.5 * way)), SCALES) is None, name
+    assert by_id("coulomb_friction").unresolved(np.array([1.0, 0.0]), SCALES) is None
+
+
 @pytest.mark.parametrize("alpha", [0.07, 0.3, 0.5, 0.7, 0.93])
 def test_fractional_damping_follows_the_power_of_frequency(alpha):
     effect = by_id("fractional_damping")

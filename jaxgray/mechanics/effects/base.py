@@ -144,6 +144,11 @@ class AbstractEffect(eqx.Module):
         response straighter."""
         return p + change
 
+    def unresolved(self, p: np.ndarray, scales: Scales) -> str | None:
+        """The parameter that is too small for the record to show, so that the law is another one there; None for
+        none."""
+        return None
+
     def bounded(self, p: np.ndarray) -> np.ndarray:
         """The parameter vector moved inside its bounds."""
         lower = np.array([parameter.lower for parameter in self.parameters])

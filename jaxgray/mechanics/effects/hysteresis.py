@@ -3,8 +3,16 @@
 import jax.numpy as jnp
 import numpy as np
 
-from .base import AbstractForceEffect, Parameter
+from .base import AbstractForceEffect, Parameter, Scales
 from .stiffness import SHORTEST
+
+WITHIN_A_SAMPLE = 0.05
+"""Share of the way that the place usually goes in a sample, below which a length of a hysteresis does not show: it is
+dry friction."""
+
+
+def _too_short(length: float, scales: Scales) -> bool:
+    return length < WITHIN_A_SAMPLE * scales.v * scales.sampling_time
 
 
 class DahlFriction(AbstractForceEffect):
@@ -26,6 +34,9 @@ class DahlFriction(AbstractForceEffect):
 
     def shapes(self, scales):
         return [np.array([1.0, part * scales.q]) for part in (0.03, 0.1, 0.3, 1.0)]
+
+    def unresolved(self, p, scales):
+        return "x_d" if _too_short(p[1], scales) else None
 
     def force(self, p, here, z):
         return p[0] * z[0]
@@ -90,6 +101,10 @@ class BoucWenHysteresis(AbstractForceEffect):
         result[2] = max(result[2], -0.99 * result[1])
         return result
 
+    def unresolved(self, p, scales):
+        closing = p[1] + p[2]
+        return "1/(beta + gamma)" if closing > 0 and _too_short(1.0 / closing, scales) else None
+
     def force(self, p, here, z):
         return p[0] * z[0]
 
@@ -127,6 +142,9 @@ class MaxwellSlipHysteresis(AbstractForceEffect):
     def shapes(self, scales):
         pairs = ((0.05, 0.3), (0.1, 1.0), (0.3, 1.0), (0.6, 1.5))
         return [np.array([1.0, 1.0, short * scales.q, long * scales.q]) for short, long in pairs]
+
+    def unresolved(self, p, scales):
+        return "d" if _too_short(min(p[2], p[3]), scales) else None
 
     def force(self, p, here, z):
         return p[0] * z[0] + p[1] * z[1]
