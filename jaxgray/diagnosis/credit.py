@@ -7,12 +7,15 @@ later finding redeems it, by a sure gain of both over the model before them; els
 
 import dataclasses
 
+import numpy as np
+
 from .bench import Bench
 from .extension import refit
 from .gain import gain_of
 from .grown import Accepted, Credit, Growth, held_out_run, is_local, runs_seen, stage_of_candidate
-from .refitting import Attempt
+from .refitting import Attempt, compared
 from .residual import white_chain
+from .shortlist import adds_mode
 
 CLEAR = 100.0
 """ΔBIC from which something is there, whatever the noise."""
@@ -31,13 +34,31 @@ def lendable(growth: Growth, ranked: list[Attempt]) -> bool:
 
 
 def by_free_run(bench: Bench, growth: Growth, attempt: Attempt) -> Attempt:
-    """An attempt refitted for the free run alone, from the model without it."""
+    """An attempt refitted for the free run alone, from the model without it and from where it is."""
     sure, data = growth.sure, bench.data[0]
     begin = sure.candidate if growth.credit is None else growth.accepted[-1].attempt.fit.candidate
-    candidate = begin.with_terms((*begin.terms, attempt.fit.candidate.terms[-1]))
     chain = white_chain(sure.e, data.kept, sure.system)
-    fit = refit(bench.simulator, candidate, bench.data, chain, held=bench.held, max_steps=STEPS)
+    term = attempt.fit.candidate.terms[-1]
+    fit = None
+    for start in (begin.with_terms((*begin.terms, term)), attempt.fit.candidate):
+        abandon = np.inf if fit is None else fit.cost
+        found = refit(bench.simulator, start, bench.data, chain, held=bench.held, max_steps=STEPS, abandon=abandon)
+        if found is not None and (fit is None or found.cost < fit.cost):
+            fit = found
     return attempt if fit is None else dataclasses.replace(attempt, fit=fit)
+
+
+def by_free_runs(bench: Bench, growth: Growth, ranked: list[Attempt]) -> list[Attempt]:
+    """Attempts that coloured noise could stand for on the data of the fit, refitted for the free run alone and compared
+    by it, best first; none where there is no other data to judge them by."""
+    if not ranked or not bench.validation or growth.credit is not None:
+        return []
+    here = growth.stage
+    chain = white_chain(here.e, bench.data[0].kept, here.system)
+    # A mode rings as coloured noise does.
+    lasting = [a for a in ranked if not is_local(bench, a.name[0]) and not adds_mode(a.score.shape.effect)]
+    free = [dataclasses.replace(by_free_run(bench, growth, attempt), chain=chain) for attempt in lasting]
+    return [attempt for attempt in compared(bench, here, free) if attempt.delta_bic > CLEAR]
 
 
 def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: tuple[Attempt, ...], floor) -> None:

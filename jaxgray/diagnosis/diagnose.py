@@ -35,6 +35,7 @@ from .grown import Growth
 from .growth import grow, recount
 from .judgement import FreeRun, overall
 from .other_start import from_other_modes
+from .own_zeros import from_own_zeros
 from .problem import Data
 from .ranking import gate_of, rejected_of
 from .record_findings import noise_findings, record_findings
@@ -130,6 +131,11 @@ def _of_clean_records(
         if isinstance(identification, Diagnosis):
             # No free run of the linear model is usable: decided on another route.
             return identification
+    anew: tuple[str, ...] = ()
+    if separate:
+        plain = identification.model if model is None else model
+        from_zero, anew = from_own_zeros(records + held, plain)
+        records, held = from_zero[: len(records)], from_zero[len(records) :]
     baseline = baseline_of(records, identification, model, None)
     floor, source = independent_floor(records[0])
     laws = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
@@ -155,7 +161,8 @@ def _of_clean_records(
     chain = growth.screening.chain
     # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
     noise = () if growth.unexplained else noise_findings(records[0], growth.stage.e, chain.ratio, chain.worth)
-    return _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
+    found = _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
+    return dataclasses.replace(found, warnings=anew + found.warnings)
 
 
 def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:

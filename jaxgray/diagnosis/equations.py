@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 AHEAD = 0.1
 """Share of a step after which the bend of a valley is measured."""
 
-_LARGEST = 1e100
+LARGEST = 1e100
+"""Whitened values from which a residual or a sensitivity has no products to speak of."""
 
 
 def weighted(chain: Chain, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
@@ -42,8 +43,7 @@ class Equations:
         H, g, cost, count = 0.0, 0.0, 0.0, 0
         for k, d in enumerate(self.data):
             both = self._rows(runs[k][1], residuals[k], d)
-            # What is all but overflowing has no products to speak of.
-            if not np.max(np.abs(both)) <= _LARGEST:
+            if not np.max(np.abs(both)) <= LARGEST:
                 return None
             table = self.layout.widened(both[None, :, :-1], k)[0]
             H = H + table.T @ table
@@ -74,7 +74,7 @@ class Equations:
         ahead = self.layout.candidate(self.layout.moved(theta, AHEAD * change, candidate), candidate)
         for k, d in enumerate(self.data):
             e = np.where(d.kept, d.y - self.simulator.run(ahead, d, k), 0.0)
-            if not np.max(np.abs(e)) <= _LARGEST:
+            if not np.max(np.abs(e)) <= LARGEST:
                 return None
             both = self._rows(jacobians[k], e, d)
             slope = slope + self.layout.widened(both[None, :, :-1], k)[0].T @ both[:, -1]

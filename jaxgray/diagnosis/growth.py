@@ -9,7 +9,7 @@ from ..numerics.runtime import relieve
 from .belief import floor_of, judged, unsound
 from .bench import Bench
 from .competitor import FlexibleForce
-from .credit import CLEAR, by_free_run, lend, lendable, withdraw
+from .credit import CLEAR, by_free_run, by_free_runs, lend, lendable, withdraw
 from .gain import gain_of
 from .grown import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
 from .hidden_modes import hidden_modes
@@ -28,6 +28,9 @@ from .unheard import instead_of, unheard
 
 SLIGHT = 0.02
 """Share of what is left that the best effect must explain for "unexplained" to be said when no refit holds."""
+
+HALVED = 50.0
+"""Gain [%] on held-out data from which something is there, whatever the colour of the noise."""
 
 BEHIND = 50.0
 """ΔBIC by measured motion from which an effect may hide behind noise at the forces."""
@@ -88,6 +91,8 @@ def _rounds(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
         if not _accepted(bench, growth, ranked) and growth.ruled_out == told_from:
             refitted = frozenset(attempt.name for attempt in ranked)
             if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted)):
+                continue
+            if _accepted(bench, growth, by_free_runs(bench, growth, ranked)[:1], least=HALVED):
                 continue
             refuted = screening.fires and _refuted(bench, growth, ranked, searched)
             growth.unexplained = screening.fires and not refuted
@@ -155,12 +160,14 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
     return ranked
 
 
-def _accepted(bench: Bench, growth: Growth, ranked: list[Attempt]) -> bool:
-    """Accept the best candidate that holds; whether one did."""
+def _accepted(bench: Bench, growth: Growth, ranked: list[Attempt], *, least: float = -np.inf) -> bool:
+    """Accept the best candidate that holds and gains at least so much [%]; whether one did."""
     floor = floor_of(bench, ranked)
     for k, attempt in enumerate(ranked):
         bench.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
         why, gain, runs = judged(bench, growth, attempt, floor)
+        if why is None and gain.percent < least:
+            why = f"coloured noise could do the same, and the gain on held-out data is but {gain.percent:.0f} %"
         if why is None:
             rivals, refused = _class_of(attempt, ranked[k + 1 :])
             growth.rejected += refused

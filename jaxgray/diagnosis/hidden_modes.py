@@ -5,14 +5,13 @@ one frequency, as an autoregression does. So where nothing else explains a recor
 residual taken as white is refitted and judged by what it is worth then.
 """
 
-from ..mechanics.effects.base import AbstractMatrixEffect
 from .bench import Bench, chain_of
 from .judgement import ACCEPTED
 from .pursuit import pursued
 from .refitting import Attempt, compared, first_fit
 from .residual import white_chain
 from .screening import Score, Screening
-from .shortlist import at_lines
+from .shortlist import adds_mode, at_lines
 from .stage import Stage
 
 
@@ -26,8 +25,7 @@ def hidden_modes(bench: Bench, stage: Stage, screening: Screening, tried: frozen
     listed: dict[tuple[str, str], Score] = {}
     for score in screening.first:
         effect, name = score.shape.effect, (score.shape.effect.id, score.shape.place.name)
-        adds_one = isinstance(effect, AbstractMatrixEffect) and effect.extra
-        if adds_one and (anywhere or score.delta_bic >= ACCEPTED) and name not in tried:
+        if adds_mode(effect) and (anywhere or score.delta_bic >= ACCEPTED) and name not in tried:
             listed.setdefault(name, score)
     attempts = []
     chain = white_chain(stage.e, bench.data[0].kept, stage.system)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..identification.conic import pseudo_inverse
-from .equations import weighted
+from .equations import LARGEST, weighted
 from .extension import Layout, Refit, state_step
 from .problem import Candidate, Data
 from .residual import Chain, counted
@@ -34,11 +34,15 @@ def evidence(
     data: Data,
     chain: Chain,
 ) -> tuple[float, int]:
-    """Sum of squares of a residual under a chain, re-optimised to first order along J, and how many samples count."""
+    """Sum of squares of a residual under a chain, re-optimised to first order along J (infinite where these are all but
+    overflowing), and how many samples count."""
     white = weighted(chain, np.concatenate([J, e[:, :, None]], axis=2), data.kept)
+    count = int(counted(data.kept).sum())
+    if not np.max(np.abs(white)) <= LARGEST:
+        return np.inf, count
     J, e = white[:, :-1], white[:, -1]
     g = J.T @ e
-    return float(e @ e - g @ pseudo_inverse(J.T @ J) @ g), int(counted(data.kept).sum())
+    return float(e @ e - g @ pseudo_inverse(J.T @ J) @ g), count
 
 
 @dataclass(frozen=True)

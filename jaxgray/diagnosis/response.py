@@ -180,16 +180,17 @@ class Simulator:
         return _input_stage(_values(terms), start, end, data.traced_sampling_time, forms(terms))
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
-        """Outputs of a candidate on one record, padding included."""
+        """Outputs of a candidate on one record, zero in the padding."""
         y = self._run(candidate, data, record)[0][:, : self.setup.dofs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
             y = _output_only(_values(terms), y, data.u, data.traced_sampling_time, forms(terms))
-        return np.asarray(y)
+        return _ended(data, y)
 
     def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements and velocities of all coordinates on one record, padding included."""
-        return self._run(candidate, data, record)[1:]
+        """Displacements and velocities of all coordinates on one record, zero in the padding."""
+        q, v = self._run(candidate, data, record)[1:]
+        return _ended(data, q), _ended(data, v)
 
     def _run(self, candidate: Candidate, data: Data, record: int):
         plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
@@ -301,7 +302,14 @@ class Simulator:
         picked = [
             extra[..., k] if kind == "output" else J[..., k if kind == "plant" else first + k] for kind, k in order
         ]
-        return y, np.stack(picked, axis=-1)
+        return _ended(data, y), _ended(data, np.stack(picked, axis=-1))
+
+
+def _ended(data: Data, X) -> np.ndarray:
+    """A series that ends with the record: without inputs a motion may grow beyond bounds in the padding."""
+    X = np.array(X)
+    X[data.samples :] = 0.0
+    return X
 
 
 def _rounded(count: int) -> int:

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from ..mechanics.effects.base import AbstractMatrixEffect
+from ..mechanics.effects.base import AbstractEffect, AbstractMatrixEffect
 from .competitor import FlexibleForce
 from .judgement import ACCEPTED
 from .screening import Score, Screening
@@ -79,11 +79,16 @@ def at_lines(score: Score) -> list[Score]:
     itself.
     """
     effect, shape = score.shape.effect, score.shape
-    if not (isinstance(effect, AbstractMatrixEffect) and effect.extra):
+    if not adds_mode(effect):
         return []
     values = [np.array([frequency, *LINE_START]) for frequency in dict.fromkeys(shape.scales.lines_hz)]
     ones = np.ones(len(score.weights))
     return [dataclasses.replace(score, shape=dataclasses.replace(shape, values=v), weights=ones) for v in values]
+
+
+def adds_mode(effect: AbstractEffect) -> bool:
+    """Whether an effect is a structure with a coordinate of its own."""
+    return isinstance(effect, AbstractMatrixEffect) and effect.extra
 
 
 def same_start(one: Score, other: Score) -> bool:

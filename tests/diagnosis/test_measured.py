@@ -103,6 +103,16 @@ def test_pendulum_is_pulled_by_the_sine_of_its_angle():
     assert "windows" in repr(diagnosis) and diagnosis_document(diagnosis)["verdict"] == "named"
 
 
+def test_pendulum_on_its_way_up_is_pulled_by_the_sine_of_its_angle():
+    # Torque that is far from what was commanded: noise at the forces would do as well on the data of the fit.
+    record = measured("pendulum_pd", "torque", "angle")
+    diagnosis = jaxgray.diagnose(record, holdout=0.1)
+    assert effects(diagnosis) == ["sine_stiffness"] and diagnosis.verdict in ("named", "partly")
+    length = diagnosis.findings[-1].parameters["length"]
+    assert abs(length.value - 1.0) < 3 * length.standard_error < 0.5
+    assert diagnosis.gain.held_out and diagnosis.gain.ci95[0] > 50
+
+
 def test_piezo_stage_has_play():
     record = measured("piezo", "drive", "displacement")
     diagnosis = jaxgray.diagnose(record)

@@ -1,0 +1,55 @@
+"""Records as they come: each from a zero of its own, or ended where the motion runs away."""
+
+import dataclasses
+import warnings
+
+import hidden
+import numpy as np
+from found import check_found, diagnosed, explains, hidden_case, model_findings
+from hidden_laws import Effect
+from hidden_simulation import System
+
+import jaxgray
+
+
+def test_encoders_may_count_from_another_zero_in_every_record():
+    case = hidden_case("coulomb_friction")
+    zeros = np.array([7.0, -3.0]) * np.ptp(case.y, axis=0)
+    elsewhere = dataclasses.replace(case, y=case.y + zeros, y_v=case.y_v - 0.5 * zeros)
+    only = ["coulomb_friction", "constant_force", "sensor_offset"]
+    diagnosis = diagnosed(elsewhere, only=only)
+    check_found(elsewhere, diagnosis)
+    assert sum("counts from another zero" in text for text in diagnosis.warnings) == 2
+
+
+def test_one_offset_in_all_records_is_a_finding_and_not_taken_off():
+    case = hidden_case("sensor_offset")
+    (effect,) = case.effects
+    at = int(effect.place[1:]) - 1
+    far = np.where(np.arange(case.y.shape[1]) == at, 20 * np.ptp(case.y, axis=0), 0.0)
+    diagnosis = diagnosed(dataclasses.replace(case, y=case.y + far, y_v=case.y_v + far), only=["sensor_offset"])
+    (finding,) = model_findings(diagnosis)
+    assert explains(finding, effect) and not any("another zero" in text for text in diagnosis.warnings)
+
+
+def test_a_record_may_end_where_the_motion_runs_away():
+    # Past its saddle a softening spring lets go: beyond the last sample the simulation overflows.
+    rng = np.random.default_rng(5)
+    system = System(np.array([[1.0]]), np.array([[0.2]]), np.array([[1.0]]))
+    softening = Effect("cubic_stiffness", "y1", {"k3": -0.15})
+
+    def record(last):
+        u = np.repeat(rng.standard_normal(200), 10)[:, None] * 0.35
+        u[1980:] = last
+        y = hidden.simulate(system, u, 0.1, [softening])
+        return jaxgray.Record(u, y + 0.01 * rng.standard_normal(y.shape), 0.1)
+
+    over, usual = record(4.0), record(0.0)
+    assert 2.6 < over.y[-1, 0] < 10.0 and np.max(np.abs(over.y[:1980])) < 1.9
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        diagnosis = jaxgray.diagnose(over, validation=usual, only=["cubic_stiffness", "constant_force"])
+    (finding,) = model_findings(diagnosis)
+    stiffness = finding.parameters["k3"]
+    assert finding.effect == "cubic_stiffness" and diagnosis.verdict == "named", str(diagnosis)
+    assert abs(stiffness.value + 0.15) < 4 * stiffness.standard_error + 0.002, str(diagnosis)
