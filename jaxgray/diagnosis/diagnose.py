@@ -34,6 +34,7 @@ from .gain import gain_of
 from .grown import Growth
 from .growth import grow, recount
 from .judgement import FreeRun, overall
+from .late_outliers import merged, without_late_outliers
 from .other_start import from_other_modes
 from .own_zeros import from_own_zeros
 from .problem import Data
@@ -53,6 +54,12 @@ more of dynamics; an effect of 1.15 times the noise explains 25 %. Twice that wh
 
 COLOURED = 0.9
 """Innovations over the residual, root mean squares, below which the noise is not white."""
+
+ELSEWHERE = 1.5
+"""Excess on held-out data from which more than noise is missing, whatever the data of the fit show."""
+
+PASSES = 3
+"""Times that outliers are looked for in what the linear model leaves."""
 
 UNEXPLAINED = 1.05
 """Excess over an independent noise floor from which a silent gate does not mean noise."""
@@ -113,10 +120,11 @@ def diagnose(
         searched = MODEL_ERRORS + searched
     used, unseen = [without_defects(r) for r in records], [without_defects(r) for r in held]
     found = _of_clean_records(used, unseen, separate, model, searched, max_effects, seed, progress, options)
-    messages = [{finding.message for one in group for finding in preflight(one)} for group in (records, used)]
+    cleaned = [*used, *found.records]
+    messages = [{finding.message for one in group for finding in preflight(one)} for group in (records, cleaned)]
     return dataclasses.replace(
         found,
-        findings=record_findings(records[0]) + found.findings,
+        findings=merged(record_findings(records[0]) + found.findings),
         warnings=tuple(text for text in found.warnings if text in messages[0] or text not in messages[1]),
     )
 
@@ -125,12 +133,23 @@ def _of_clean_records(
     records: list[Record], held: list[Record], separate: bool, model, searched, max_effects, seed, progress, options
 ) -> Diagnosis:
     """The diagnosis of records without spoilt samples."""
-    identification = None
+    identification, outliers = None, ()
     if model is None:
         identification = begin(records, held, searched, max_effects, seed, progress, options)
+        if isinstance(identification, Identification):
+            # The largest hide the others.
+            for _ in range(PASSES):
+                before = records + held
+                records, held, more = without_late_outliers(records, held, identification)
+                if all(now is then for now, then in zip(records + held, before)):
+                    break
+                outliers += more
+                identification = begin(records, held, searched, max_effects, seed, progress, options)
+                if isinstance(identification, Diagnosis):
+                    break
         if isinstance(identification, Diagnosis):
             # No free run of the linear model is usable: decided on another route.
-            return identification
+            return dataclasses.replace(identification, findings=outliers + identification.findings)
     anew: tuple[str, ...] = ()
     if separate:
         plain = identification.model if model is None else model
@@ -158,11 +177,10 @@ def _of_clean_records(
     if identification is not None:
         from_other_modes(bench, growth, identification, records)
     progress.stage("summing up")
-    chain = growth.screening.chain
     # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
-    noise = () if growth.unexplained else noise_findings(records[0], growth.stage.e, chain.ratio, chain.worth)
+    noise = () if growth.unexplained else noise_findings(records[0], growth.stage.e, growth.screening.chain)
     found = _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
-    return dataclasses.replace(found, warnings=anew + found.warnings)
+    return dataclasses.replace(found, findings=outliers + found.findings, warnings=anew + found.warnings)
 
 
 def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
@@ -224,6 +242,9 @@ def _assembled(
     test = None if identification is None else identification.structure_test
     if not growth.accepted and test is not None and _misfits(test, growth):
         unexplained = True
+    if not growth.accepted and growth.screening.chain.ratio == 0.0 and growth.baseline_runs:
+        # What the data of the fit pass off as slow noise, another record shows.
+        unexplained |= min(overall(run.rmse, floor) for run in growth.baseline_runs) >= ELSEWHERE
     depends = _depends_on(growth) if unexplained else ()
     if unexplained and not mends_model:
         worst = int(np.argmax(residual_rms(growth.stage.e, data) / floor))

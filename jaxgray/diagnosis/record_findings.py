@@ -4,6 +4,7 @@ import numpy as np
 
 from ..identification.validation import residual_test
 from ..records import Record, preflight
+from .residual import Chain
 from .result import Estimate, Finding
 
 WORTH = 10.0
@@ -36,16 +37,20 @@ def record_findings(measured: Record) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def noise_findings(used: Record, e: np.ndarray, ratio: float = 0.0, worth: float = 0.0) -> tuple[Finding, ...]:
+def noise_findings(used: Record, e: np.ndarray, chain: Chain | None = None) -> tuple[Finding, ...]:
     """Noise at the forces and feedback, as findings of stage `record`.
 
-    **Arguments:** `used`: the record without its spoilt samples; `e`: residual of the final model; `ratio` (ρ) of the
-    force noise to the inputs' mean square; `worth`: by how much the likelihood is better with it.
+    **Arguments:** `used`: the record without its spoilt samples; `e`: residual of the final model; `chain` that was
+    estimated from it, None where none was.
     """
     found = []
-    if worth > WORTH and ratio <= PLAUSIBLE:
-        message = "Noise enters at the forces too; error bars allow for it."
-        values = {"ratio": Estimate(float(ratio), None, "")}
+    if chain is not None and chain.worth > WORTH and chain.ratio <= PLAUSIBLE:
+        further = float(np.max(chain.level / np.diag(chain.lower)))
+        message = (
+            f"Noise enters at the forces too: the free run leaves {further:.1f} times what a prediction one step ahead "
+            "leaves. Error bars allow for it. A law that is not in the catalogue can look the same."
+        )
+        values = {"ratio": Estimate(float(chain.ratio), None, "")}
         found.append(Finding("process_noise", "record", "named", "record", (), values, None, None, message))
     if residual_test(np.where(np.isnan(used.y), np.nan, e[: used.samples]), used.u).feedback:
         message = (

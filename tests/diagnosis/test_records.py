@@ -53,3 +53,30 @@ def test_a_record_may_end_where_the_motion_runs_away():
     stiffness = finding.parameters["k3"]
     assert finding.effect == "cubic_stiffness" and diagnosis.verdict == "named", str(diagnosis)
     assert abs(stiffness.value + 0.15) < 4 * stiffness.standard_error + 0.002, str(diagnosis)
+
+
+def test_outliers_that_the_motion_hides_are_left_out():
+    # The motion goes as far in a sample as the outliers lie off, also at both ends of the record.
+    rng = np.random.default_rng(8)
+    system = System(np.array([[1.0]]), np.array([[1.0]]), np.array([[400.0]]))
+    places = np.array([2, 300, 301, 700, 1100, 1994, 1998])
+
+    def record():
+        u = rng.standard_normal((2000, 1))
+        y = hidden.simulate(system, u, 0.06, [])
+        size = np.std(y)
+        y = y + 1e-3 * size * rng.standard_normal(y.shape)
+        y[places, 0] += size * np.where(np.arange(len(places)) % 2, -0.8, 0.8)
+        return jaxgray.Record(u, y, 0.06)
+
+    estimation, validation = record(), record()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        diagnosis = jaxgray.diagnose(estimation, validation=validation, only=["cubic_stiffness", "constant_force"])
+    (finding,) = diagnosis.findings
+    assert diagnosis.verdict == "noise" and finding.effect == "outliers", str(diagnosis)
+    assert finding.parameters["count"].value == len(places)
+    assert set(np.flatnonzero(np.isnan(diagnosis.records[0].y))) == set(places)
+    assert not any("missing" in text for text in diagnosis.warnings), diagnosis.warnings
+    (rmse,), (floor,) = diagnosis.baseline.rmse["validation"].values(), diagnosis.noise_floor.values()
+    assert rmse < 1.2 * floor, str(diagnosis)
