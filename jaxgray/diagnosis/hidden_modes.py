@@ -5,7 +5,9 @@ one frequency, as an autoregression does. So where nothing else explains a recor
 residual taken as white is refitted and judged by what it is worth then.
 """
 
+from ..mechanics.effects.disturbance import PeriodicDisturbance
 from .bench import Bench, chain_of
+from .credit import CLEAR
 from .judgement import ACCEPTED
 from .pursuit import pursued
 from .refitting import Attempt, compared, first_fit
@@ -19,9 +21,11 @@ def hidden_modes(bench: Bench, stage: Stage, screening: Screening, tried: frozen
     """Effects that add a mode, refitted from where they would explain most of the residual taken as white, best first.
 
     **Arguments:** `bench`; `stage`; `screening`: of that stage; `tried`: effects and places that were refitted already.
-    Where the gate fires, every place is tried, otherwise those where a mode would explain something.
+    Where the gate fires or the residual rings, every place is tried, otherwise those where a mode would explain
+    something.
     """
-    anywhere = screening.fires
+    line = next((score for score in screening.first if score.shape.effect.id == PeriodicDisturbance.id), None)
+    anywhere = screening.fires or (line is not None and line.delta_bic > CLEAR)
     listed: dict[tuple[str, str], Score] = {}
     for score in screening.first:
         effect, name = score.shape.effect, (score.shape.effect.id, score.shape.place.name)

@@ -60,6 +60,16 @@ def test_a_law_is_found_from_where_the_linear_model_has_gone_astray():
         check_parameter(found.parameters[name], true, name, str(diagnosis))
 
 
+def test_a_mode_is_found_beside_the_crosstalk_that_took_a_little_of_it():
+    # A record of a campaign: what the crosstalk left rang at one frequency, and passed for coloured noise.
+    truth = "unmodelled_mode"
+    rng = np.random.default_rng([80421, 0, zlib.crc32(truth.encode()), 0])
+    case = hidden.random_case(rng, truth, dofs=(1, 2, 3), samples=3000, excess=(1.5, 4.0))
+    diagnosis = diagnosed(case, only=[truth, "sensor_crosstalk", "sensor_nonlinearity", "periodic_disturbance"])
+    check_found(case, diagnosis)
+    assert "sensor_crosstalk" in {rejected.effect for rejected in diagnosis.rejected}, str(diagnosis)
+
+
 def test_a_hysteresis_shorter_than_a_sample_does_not_stand_for_friction_and_a_spring():
     # A record of a campaign: two stops that gave way within a thousandth of a sample stood for both effects.
     pair, rng = ("stribeck_friction", "cubic_stiffness"), np.random.default_rng([78301, 2, 10])
