@@ -1,6 +1,7 @@
 """What the loop of a diagnosis works with."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from .residual import Chain, estimate_chain
 from .response import Simulator
 from .stage import sampled_plant
 
+if TYPE_CHECKING:
+    from .own_model import Identified
+
 
 @dataclass(frozen=True)
 class Bench:
@@ -19,7 +23,7 @@ class Bench:
 
     `simulator`; `data` of estimation and of validation; `catalogue`; `names` of inputs and outputs; `held`: entries
     that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
-    of its own; `rng`; `progress`.
+    of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged.
     """
 
     simulator: Simulator
@@ -32,6 +36,7 @@ class Bench:
     separate: bool
     rng: np.random.Generator
     progress: AbstractProgress
+    identified: "Identified | None" = None
 
 
 def chain_of(bench: Bench, fit: Refit) -> Chain:

@@ -36,6 +36,7 @@ from .growth import grow, recount
 from .judgement import FreeRun, overall
 from .late_outliers import merged, without_late_outliers
 from .other_start import from_other_modes
+from .own_model import identified
 from .own_zeros import from_own_zeros
 from .problem import Data
 from .ranking import gate_of, rejected_of
@@ -172,6 +173,8 @@ def _of_clean_records(
         np.random.default_rng(seed),
         progress,
     )
+    if model is not None:
+        bench = dataclasses.replace(bench, identified=identified(bench.simulator, records, bench.data, options))
     errors = () if model is None else MODEL_ERRORS
     growth = grow(bench, baseline.start, max_effects, errors=errors, max_errors=len(baseline.start.entries))
     if identification is not None:

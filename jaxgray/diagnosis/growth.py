@@ -14,6 +14,7 @@ from .gain import gain_of
 from .grown import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
 from .hidden_modes import hidden_modes
 from .judgement import ACCEPTED, at_bound
+from .own_model import wrong_entries
 from .problem import Candidate
 from .pruning import prune
 from .refitting import Attempt, attempts_of, compared, unresolved
@@ -21,7 +22,7 @@ from .rejudging import rejudge
 from .residual import white_chain
 from .result import Rejected
 from .screening import Screening
-from .shortlist import shortlist
+from .shortlist import listed_with, shortlist
 from .stage import Stage, look, look_closer
 from .standing import alike, needless, simplified, standing_for
 from .unheard import instead_of, unheard
@@ -52,6 +53,7 @@ def grow(
     growth.runs = growth.baseline_runs
     if errors:
         _extend(dataclasses.replace(bench, catalogue=errors), growth, max_errors, errors)
+    bench = dataclasses.replace(bench, identified=None)
     _extend(bench, growth, max_effects, (*bench.catalogue, FlexibleForce()))
     rejudge(bench, growth)
     return growth
@@ -146,7 +148,8 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
     """The most promising candidates and what is easily taken for the best of them, refitted, best first."""
     stage, before = growth.stage, len(growth.rejected)
     chain = closer.chain if closer.shows else white_chain(stage.e, bench.data[0].kept, stage.system)
-    attempts = attempts_of(bench, stage, shortlist(screening, closer), chain, growth.rejected)
+    listed = listed_with(shortlist(screening, closer), wrong_entries(bench, stage, screening))
+    attempts = attempts_of(bench, stage, listed, chain, growth.rejected)
     ranked = compared(bench, stage, list(attempts.values()))
     if ranked:
         tried = set(attempts) | {(one.effect, one.location) for one in growth.rejected[before:]}

@@ -18,9 +18,12 @@ LITTLE = 3.0
 
 
 def prune(bench: Bench, growth: Growth) -> None:
-    """Drop a term that the newer ones have made needless; else put simpler laws in the place of those that hardly
-    differ from them."""
-    if len(growth.accepted) < 2 or not _dropped(bench, growth):
+    """Drop the terms that the newer ones have made needless; where there is none, put simpler laws in the place of
+    those that hardly differ from them."""
+    before = len(growth.accepted)
+    while len(growth.accepted) > 1 and _dropped(bench, growth):
+        pass
+    if len(growth.accepted) == before:
         _simplify(bench, growth)
 
 

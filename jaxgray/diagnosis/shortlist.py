@@ -91,6 +91,19 @@ def adds_mode(effect: AbstractEffect) -> bool:
     return isinstance(effect, AbstractMatrixEffect) and effect.extra
 
 
+def listed_with(listed: list[list[Score]], more: list[Score]) -> list[list[Score]]:
+    """A short list with further starts, of what is on it and of others."""
+    result = [list(scores) for scores in listed]
+    by_name = {(scores[0].shape.effect.id, scores[0].shape.place.name): scores for scores in result}
+    for score in more:
+        name = score.shape.effect.id, score.shape.place.name
+        if name in by_name:
+            by_name[name].append(score)
+        else:
+            result.append([score])
+    return result
+
+
 def same_start(one: Score, other: Score) -> bool:
     """Whether two scores are of one shape, as far as a refit moves it: amplitudes find their size in a step or two."""
     moving = [p.counts and not p.amplitude for p in one.shape.effect.parameters]

@@ -128,6 +128,25 @@ def test_the_users_own_numbers_are_judged(entry):
     check_parameter(finding.parameters["delta"], -wrong, "delta", str(diagnosis))
 
 
+@pytest.mark.parametrize("seed", [[80441, 12, 0], [80441, 16, 5]])
+def test_a_mass_that_puts_the_free_run_out_of_step_is_found_alone_and_with_friction(seed):
+    # Two records of a campaign: 5 % of a mass had been said to be a step of it, and friction to be wrong damping.
+    rng, size = np.random.default_rng(seed), {"dofs": (1, 2, 3), "samples": 3000}
+    if seed[1] == 12:
+        case = hidden.null_case(rng, "white", **size)
+    else:
+        case = hidden.random_case(rng, "coulomb_friction", excess=(1.5, 4.0), **size)
+    at = int(rng.integers(len(case.system.M)))
+    mass, wrong = case.system.M.copy(), 0.05 * case.system.M[at, at]
+    mass[at, at] += wrong
+    own = jaxgray.MechanicalModel(mass, case.system.D, case.system.K)
+    diagnosis = diagnosed(case, model=own, only=["mass_step", "stiffness_step", "coulomb_friction"])
+    first, *others = model_findings(diagnosis)
+    assert (first.effect, first.location) == ("mass_error", f"y{at + 1}"), str(diagnosis)
+    check_parameter(first.parameters["delta"], -wrong, "delta", str(diagnosis))
+    assert [f.effect for f in others] == [effect.id for effect in case.effects], str(diagnosis)
+
+
 @pytest.mark.parametrize("effect_id", hidden.RAW)
 def test_what_the_raw_record_shows(effect_id):
     case = hidden.raw_case(generator(effect_id), effect_id, dofs=(2,), samples=SAMPLES)

@@ -6,7 +6,7 @@ import numpy as np
 from .base import AbstractForceEffect, Parameter, Scales
 from .stiffness import SHORTEST
 
-WITHIN_A_SAMPLE = 0.05
+WITHIN_A_SAMPLE = 0.2
 """Share of the way that the place usually goes in a sample, below which a length of a hysteresis does not show: it is
 dry friction."""
 
