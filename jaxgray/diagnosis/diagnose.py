@@ -40,7 +40,7 @@ from .own_model import identified
 from .own_zeros import from_own_zeros
 from .problem import Data
 from .ranking import gate_of, rejected_of
-from .record_findings import noise_findings, record_findings
+from .record_findings import noise_findings, record_findings, still_spoilt
 from .refitting import explainable_share
 from .response import Simulator
 from .result import Diagnosis, Finding
@@ -245,9 +245,10 @@ def _assembled(
     test = None if identification is None else identification.structure_test
     if not growth.accepted and test is not None and _misfits(test, growth):
         unexplained = True
-    if not growth.accepted and growth.screening.chain.ratio == 0.0 and growth.baseline_runs:
+    sound = [run for run, record in zip(growth.baseline_runs, held) if not still_spoilt(record)]
+    if not growth.accepted and growth.screening.chain.ratio == 0.0 and sound:
         # What the data of the fit pass off as slow noise, another record shows.
-        unexplained |= min(overall(run.rmse, floor) for run in growth.baseline_runs) >= ELSEWHERE
+        unexplained |= min(overall(run.rmse, floor) for run in sound) >= ELSEWHERE
     depends = _depends_on(growth) if unexplained else ()
     if unexplained and not mends_model:
         worst = int(np.argmax(residual_rms(growth.stage.e, data) / floor))

@@ -37,6 +37,11 @@ def record_findings(measured: Record) -> tuple[Finding, ...]:
     return tuple(found)
 
 
+def still_spoilt(cleaned: Record) -> bool:
+    """Whether so much of a record is clipped, or far off, that it was not taken away."""
+    return any(finding.effect in LEFT_OUT for finding in preflight(cleaned))
+
+
 def noise_findings(used: Record, e: np.ndarray, chain: Chain | None = None) -> tuple[Finding, ...]:
     """Noise at the forces and feedback, as findings of stage `record`.
 
