@@ -32,7 +32,7 @@ import jaxgray  # noqa: E402
 WRONG = 0.05
 FREQUENCIES_HZ = np.array([83.107, 96.729])
 SAMPLING_TIME = 1e-4
-PLAY_RADII = (0.15, 0.5, 1.0)
+PLAY_RADII = (0.4, 1.0, 1.6)
 
 
 def judged(rng, case):
@@ -120,7 +120,7 @@ def main():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         own_models(arguments.seed, arguments.records, arguments.samples)
-        for strength in (0.35, 1.1):
+        for strength in (2.0, 3.0):
             manipulator(arguments.seed, strength)
 
 

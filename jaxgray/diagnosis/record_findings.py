@@ -10,6 +10,9 @@ from .result import Estimate, Finding
 WORTH = 10.0
 """Difference of likelihood (N ln det) from which noise at the forces is said."""
 
+SAID = 1.1
+"""Free run over prediction, root mean squares, from which the difference is said."""
+
 PLAUSIBLE = 1.0
 """Noise at the forces as large as the recorded ones: beyond, the colour of the noise is the better word."""
 
@@ -51,10 +54,12 @@ def noise_findings(used: Record, e: np.ndarray, chain: Chain | None = None) -> t
     found = []
     if chain is not None and chain.worth > WORTH and chain.ratio <= PLAUSIBLE:
         further = float(np.max(chain.level / np.diag(chain.lower)))
-        message = (
-            f"Noise enters at the forces too: the free run leaves {further:.1f} times what a prediction one step ahead "
-            "leaves. Error bars allow for it. A law that is not in the catalogue can look the same."
-        )
+        message = "Noise enters at the forces too; error bars allow for it."
+        if further >= SAID:
+            message += (
+                f" The free run leaves {further:.1f} times what a prediction one step ahead leaves; a law that is not "
+                "in the catalogue can look the same."
+            )
         values = {"ratio": Estimate(float(chain.ratio), None, "")}
         found.append(Finding("process_noise", "record", "named", "record", (), values, None, None, message))
     if residual_test(np.where(np.isnan(used.y), np.nan, e[: used.samples]), used.u).feedback:

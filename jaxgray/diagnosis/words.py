@@ -281,8 +281,9 @@ def _gain(diagnosis: "Diagnosis", causes: "list[Finding]") -> str:
         if unseen >= STANDS_IN:
             whose = "its law" if len(causes) == 1 else "a law"
             return f"{change}, but leaves {times(unseen)} the noise floor there: {whose} may stand in for another."
-        noise = diagnosis.white or any(f.effect == "process_noise" for f in diagnosis.findings)
-        if noise:
+        if any(f.effect == "process_noise" for f in diagnosis.findings):
+            return f"{change} and leaves what noise at the forces explains."
+        if diagnosis.white:
             return f"{change} and leaves only noise."
         return f"{change}; what is left is more than white noise, and no law of the catalogue explains it."
     return f"{change} and leaves {times(diagnosis.excess)} the noise floor."
