@@ -26,6 +26,9 @@ from ..mechanics.tangents import Directions, run_and_tangents
 from ..numerics.stored_programs import stored
 from .problem import Candidate, Data, Setup, estimated
 
+RUN_AWAY = 1e3
+"""Motion in the padding, relative to that in the record, beyond which it counts as none."""
+
 DIRECTIONS = 8
 """Without forces, derivatives are taken in a multiple of so many directions, so that little is compiled."""
 
@@ -180,7 +183,7 @@ class Simulator:
         return _input_stage(_values(terms), start, end, data.traced_sampling_time, forms(terms))
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
-        """Outputs of a candidate on one record, zero in the padding."""
+        """Outputs of a candidate on one record, and on in the padding unless they run away there."""
         y = self._run(candidate, data, record)[0][:, : self.setup.dofs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
@@ -188,7 +191,7 @@ class Simulator:
         return _ended(data, y)
 
     def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements and velocities of all coordinates on one record, zero in the padding."""
+        """Displacements and velocities of all coordinates on one record, and on in the padding likewise."""
         q, v = self._run(candidate, data, record)[1:]
         return _ended(data, q), _ended(data, v)
 
@@ -306,9 +309,13 @@ class Simulator:
 
 
 def _ended(data: Data, X) -> np.ndarray:
-    """A series that ends with the record: without inputs a motion may grow beyond bounds in the padding."""
-    X = np.array(X)
-    X[data.samples :] = 0.0
+    """A series that ends with the record where it runs away in the padding; else what follows is kept, for effects that
+    bring it early."""
+    X = np.asarray(X)
+    beyond = np.abs(X[data.samples :])
+    if beyond.size and not np.max(beyond) <= RUN_AWAY * np.max(np.abs(X[: data.samples])):
+        X = X.copy()
+        X[data.samples :] = 0.0
     return X
 
 

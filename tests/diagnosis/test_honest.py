@@ -161,6 +161,7 @@ def test_samples_lost_without_a_gap_are_counted_and_dated():
         case = hidden.raw_case(rng, "dropped_samples", dofs=(2,), samples=SAMPLES)
         form = case.effects[0].parameters["form"]
     diagnosis = diagnosed(case)
+    assert "dropped_samples" in record_findings(diagnosis), f"{diagnosis}\n{diagnosis.rejected}"
     (finding,) = [f for f in diagnosis.findings if f.effect == "dropped_samples"]
     assert diagnosis.verdict == "noise", str(diagnosis)
     truth, found = case.effects[0].parameters, finding.parameters
