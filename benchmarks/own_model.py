@@ -24,13 +24,13 @@ import numpy as np
 jax.config.update("jax_enable_x64", True)
 
 import hidden  # noqa: E402
+from accuracy.systems import micro_manipulator  # noqa: E402
 from hidden_laws import Effect  # noqa: E402
 from hidden_simulation import System, simulate  # noqa: E402
 
 import jaxgray  # noqa: E402
 
 WRONG = 0.05
-FREQUENCIES_HZ = np.array([83.107, 96.729])
 SAMPLING_TIME = 1e-4
 PLAY_RADII = (0.4, 1.0, 1.6)
 
@@ -58,7 +58,6 @@ def own_models(seed, records, samples):
     """Counts of both rows."""
     for name in ("nothing else", "coulomb_friction"):
         right = within = 0
-        deviations = []
         for k in range(records):
             rng = np.random.default_rng([seed, len(name), k])
             size = {"dofs": (1, 2, 3), "samples": samples}
@@ -71,7 +70,6 @@ def own_models(seed, records, samples):
             members = [{(m.effect, m.location) for m in law.members} for law in laws]
             right += np.isfinite(deviation) and len(laws) == len(truth) and all(m & truth for m in members)
             within += deviation <= 3
-            deviations.append(deviation)
             print(
                 f"  {name} {k}: Δ off by {deviation:.1f} standard errors; laws {[law.effect for law in laws]}",
                 flush=True,
@@ -82,11 +80,6 @@ def own_models(seed, records, samples):
 def manipulator(seed, strength):
     """Fits before and after, and what is found, with play of some strength at u2."""
     rng = np.random.default_rng([seed, int(100 * strength)])
-    omega = 2 * np.pi * FREQUENCIES_HZ
-    M = np.diag([3.2e-6, 2.9e-6])
-    L = np.linalg.cholesky(M)
-    Q, _ = np.linalg.qr(np.array([[1.0, 0.25], [-0.2, 1.0]]))
-    K, D = L @ Q @ np.diag(omega**2) @ Q.T @ L.T, L @ Q @ np.diag(0.04 * omega) @ Q.T @ L.T
     weights = [strength * w for w in (0.4, 0.35, 0.25)]
     play = Effect("play_hysteresis", "u2", {"w": weights, "r": list(PLAY_RADII)})
 
@@ -98,7 +91,7 @@ def manipulator(seed, strength):
                 length = int(rng.uniform(0.002, 0.03) / SAMPLING_TIME)
                 column[k : k + length] = rng.uniform(-2.0, 2.0)
                 k += length
-        y = simulate(System(M, D, K), u, SAMPLING_TIME, [play])
+        y = simulate(System(*micro_manipulator()), u, SAMPLING_TIME, [play])
         return jaxgray.Record(u, y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), SAMPLING_TIME)
 
     diagnosis = jaxgray.diagnose(record(10000), validation=record(6000))

@@ -46,7 +46,11 @@ def _without(record: Record, residual: np.ndarray) -> Record:
 
 def standing_out(e: np.ndarray) -> np.ndarray:
     """Places of single samples, or two beside each other, far beyond what is usual and what is usual nearby; their
-    neighbours are not."""
+    neighbours are not.
+
+    A residual is about zero, so a sample is judged by itself. `records.defects.spikes` judges a moving signal by the
+    line between neighbours: it needs five good ones on each side, which the ends and outliers close by do not have.
+    """
     size = np.nan_to_num(np.abs(e - np.nanmedian(e)))
     usual = 1.4826 * np.median(size)
     nearby = 1.4826 * np.median(sliding_window_view(np.pad(size, NEAR, mode="reflect"), 2 * NEAR + 1), axis=1)

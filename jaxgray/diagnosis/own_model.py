@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from ..identification import identify
 from ..identification.conic import pseudo_inverse
+from ..mechanics.drives import Force
 from ..mechanics.effects.base import AbstractMatrixEffect
 from ..mechanics.simulate import initial_state
 from ..numerics.outcomes import ComputationError
@@ -38,9 +39,14 @@ class Identified:
 
 
 def identified(simulator: Simulator, records: list[Record], data: list[Data], options: dict) -> Identified | None:
-    """The model that the records themselves give; None where there is none."""
+    """The model that the records themselves give, inputs acting where they do in the user's; None where there is none.
+
+    **Arguments:** `simulator` of the user's model; `records`, and as `data`; `options` of `identify`.
+    """
+    drive = simulator.setup.drive
+    places = {"input_map": np.asarray(drive.input_map)} if isinstance(drive, Force) else {}
     try:
-        found = identify(records, **options)
+        found = identify(records, **(options | places))
     except (ComputationError, ValueError):
         return None
     entries = simulator.setup.entries_of(found.mass, found.damping, found.stiffness)

@@ -98,8 +98,7 @@ def unresolved(fit: Refit, score: Score) -> str | None:
     """Why a law at the end of a refit is another one there, as far as the record shows; None where it is not."""
     shape = score.shape
     term = next(t for t in fit.candidate.terms if (t.effect.id, t.place.name) == _name(score))
-    name = shape.effect.unresolved(np.array(term.values, dtype=float), shape.scales)
-    return None if name is None else f"{name} is far less than the place moves in a sample: no more than dry friction"
+    return shape.effect.unresolved(np.array(term.values, dtype=float), shape.scales)
 
 
 def _outright(
@@ -107,7 +106,7 @@ def _outright(
 ) -> dict[tuple[str, str], tuple[Score, Refit]]:
     """Refits from the model without the candidate, under one chain first, then those that are left to their end."""
     rough: dict[tuple[str, str], tuple[float, Score, Refit]] = {}
-    best, hidden = np.inf, {}
+    best, unlike = np.inf, {}
     for k, scores in enumerate(listed):
         name = _name(scores[0])
         bench.progress.stage(f"refitting {name[0]} at {name[1]}", fraction=k / len(listed))
@@ -116,15 +115,15 @@ def _outright(
             if fit is None:
                 continue
             criterion = criterion_of(bench, score, fit)
-            if unresolved(fit, score):
+            if (why := unresolved(fit, score)) is not None:
                 # Another law under this one's name, which others must not be measured by.
-                hidden[name] = unresolved(fit, score)
+                unlike[name] = why
                 continue
             best = min(best, criterion)
             if name not in rough or criterion < rough[name][0]:
                 rough[name] = criterion, score, fit
         if name not in rough:
-            why = hidden.get(name, "its refit could not be simulated")
+            why = unlike.get(name, "its refit could not be simulated")
             rejected.append(Rejected(*name, scores[0].delta_bic, why))
     fits = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):

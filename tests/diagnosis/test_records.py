@@ -5,7 +5,7 @@ import warnings
 
 import hidden
 import numpy as np
-from found import check_found, diagnosed, explains, hidden_case, model_findings
+from found import SAMPLES, check_found, diagnosed, explains, generator, hidden_case, model_findings
 from hidden_laws import Effect
 from hidden_simulation import System
 
@@ -20,6 +20,17 @@ def test_encoders_may_count_from_another_zero_in_every_record():
     diagnosis = diagnosed(elsewhere, only=only)
     check_found(elsewhere, diagnosis)
     assert sum("counts from another zero" in text for text in diagnosis.warnings) == 2
+
+
+def test_noise_is_not_said_of_a_record_that_misses_another_one():
+    case = hidden.null_case(generator("elsewhere"), "white", dofs=(2,), samples=SAMPLES)
+    slow = 5 * case.noise * np.sin(np.linspace(0, 6, SAMPLES))[:, None]
+    elsewhere = diagnosed(dataclasses.replace(case, y_v=case.y_v + slow), only=["cubic_stiffness"])
+    assert elsewhere.verdict == "unexplained", str(elsewhere)
+    limit = np.quantile(np.abs(case.y_v[:, 0]), 0.5)
+    clipped = np.column_stack([np.clip(case.y_v[:, 0], -limit, limit), case.y_v[:, 1:]])
+    spoilt = diagnosed(dataclasses.replace(case, y_v=clipped), only=["cubic_stiffness"])
+    assert spoilt.verdict == "noise", str(spoilt)
 
 
 def test_one_offset_in_all_records_is_a_finding_and_not_taken_off():

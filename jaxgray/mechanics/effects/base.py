@@ -145,8 +145,8 @@ class AbstractEffect(eqx.Module):
         return p + change
 
     def unresolved(self, p: np.ndarray, scales: Scales) -> str | None:
-        """The parameter that is too small for the record to show, so that the law is another one there; None for
-        none."""
+        """Why the law is another one at these values, as far as a record can show: one clause for the reader, or None
+        (default). `p`: parameter vector; `scales`: sizes of the record at the place."""
         return None
 
     def bounded(self, p: np.ndarray) -> np.ndarray:

@@ -11,8 +11,11 @@ WITHIN_A_SAMPLE = 0.2
 dry friction."""
 
 
-def _too_short(length: float, scales: Scales) -> bool:
-    return length < WITHIN_A_SAMPLE * scales.v * scales.sampling_time
+def _too_short(name: str, length: float, scales: Scales) -> str | None:
+    """What is said of a length that gives way within a sample; None of one that shows."""
+    if length >= WITHIN_A_SAMPLE * scales.v * scales.sampling_time:
+        return None
+    return f"{name} is far less than the place moves in a sample: no more than dry friction"
 
 
 class DahlFriction(AbstractForceEffect):
@@ -36,7 +39,7 @@ class DahlFriction(AbstractForceEffect):
         return [np.array([1.0, part * scales.q]) for part in (0.03, 0.1, 0.3, 1.0)]
 
     def unresolved(self, p, scales):
-        return "x_d" if _too_short(p[1], scales) else None
+        return _too_short("x_d", p[1], scales)
 
     def force(self, p, here, z):
         return p[0] * z[0]
@@ -103,7 +106,7 @@ class BoucWenHysteresis(AbstractForceEffect):
 
     def unresolved(self, p, scales):
         closing = p[1] + p[2]
-        return "1/(beta + gamma)" if closing > 0 and _too_short(1.0 / closing, scales) else None
+        return _too_short("1/(beta + gamma)", 1.0 / closing, scales) if closing > 0 else None
 
     def force(self, p, here, z):
         return p[0] * z[0]
@@ -144,7 +147,7 @@ class MaxwellSlipHysteresis(AbstractForceEffect):
         return [np.array([1.0, 1.0, short * scales.q, long * scales.q]) for short, long in pairs]
 
     def unresolved(self, p, scales):
-        return "d" if _too_short(min(p[2], p[3]), scales) else None
+        return _too_short("d", min(p[2], p[3]), scales)
 
     def force(self, p, here, z):
         return p[0] * z[0] + p[1] * z[1]
