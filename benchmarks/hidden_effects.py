@@ -31,6 +31,7 @@ jax.config.update("jax_enable_x64", True)
 
 import hidden  # noqa: E402
 from hidden_judging import judged  # noqa: E402
+from hidden_matrices import table_of_matrices  # noqa: E402
 
 import jaxgray  # noqa: E402
 
@@ -220,6 +221,10 @@ def summary(rows):
             table_of_effects(by_kind[kind])
             print(f"\n== {kind}: truth → said")
             confusion(by_kind[kind])
+            print(
+                f"\n== {kind}: M, D, K after the extension, where all is named and nothing besides; in standard errors"
+            )
+            table_of_matrices(by_kind[kind])
             behind = sorted(row["rivals_behind"] for row in by_kind[kind] if row.get("rivals_behind") is not None)
             within = sum(distance <= 10 for distance in behind)
             print(

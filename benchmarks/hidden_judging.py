@@ -8,6 +8,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import hidden  # noqa: E402
 import hidden_laws as laws  # noqa: E402
 import numpy as np  # noqa: E402
+from hidden_matrices import matrix_deviations  # noqa: E402
 
 NOT_COMPARED = ("phase", "form")
 """Parameters left out of the count of standard errors: an angle, a word."""
@@ -165,6 +166,8 @@ def judged(rng, case, diagnosis, *, fresh=10):
     for e, hits in zip(truth, named):
         for f in hits[:1]:
             row["deviations"] |= {f"{e.id}.{name}": d for name, d in deviations(f, e).items()}
+    if row["name_and_place"] and not extra:
+        row["matrices"] = matrix_deviations(case, diagnosis)
     if row["name_and_place"] and not extra and fresh and diagnosis.gain is not None:
         gain = true_gain(rng, case, diagnosis, fresh)
         if gain is not None:

@@ -214,8 +214,7 @@ def _assembled(
     setup, data = bench.simulator.setup, bench.data[0]
     if floor is None:
         floor = residual_rms(growth.stage.e, data)
-    if len(growth.accepted) > 1:
-        recount(bench, growth, floor)
+    recount(bench, growth, floor)
     names = records[0].output_names
     start_run = FreeRun(growth.start.motion.y, growth.start.e, data.kept)
     last_run = FreeRun(growth.stage.motion.y, growth.stage.e, data.kept)

@@ -1,4 +1,8 @@
-"""What newer findings make of the older: terms that are needless now, and laws that a simpler one can stand for."""
+"""What newer findings make of the older: terms that are needless now, and laws that a simpler one can stand for.
+
+The newest may be the needless one: where the others had not come to their best values, any law that is refitted with
+them brings them there, and has the credit.
+"""
 
 import dataclasses
 
@@ -28,9 +32,9 @@ def prune(bench: Bench, growth: Growth) -> None:
 
 
 def _dropped(bench: Bench, growth: Growth) -> bool:
-    """Drop one accepted term that explains nothing any more; whether there was one."""
+    """Drop one accepted term that explains nothing beside the others; whether there was one."""
     layout = Layout(bench.simulator.setup, growth.fit.candidate)
-    for k in range(len(growth.accepted) - 1):
+    for k in range(len(growth.accepted)):
         if significance(growth.fit, layout, k) >= SIGNIFICANT:
             continue
         terms = tuple(t for j, t in enumerate(growth.fit.candidate.terms) if j != k)
@@ -44,8 +48,17 @@ def _dropped(bench: Bench, growth: Growth) -> bool:
             growth.accepted.pop(k)
             growth.rejected.append(Rejected(*gone.name, float(change), "needless once the others are in the model"))
             _take(bench, growth, fit)
+            if k == len(growth.accepted):
+                _credit(growth, gone.delta_bic - change)
             return True
     return False
+
+
+def _credit(growth: Growth, delta_bic: float) -> None:
+    """Give the last finding its better values, and what they are worth."""
+    last = growth.accepted[-1]
+    attempt = dataclasses.replace(last.attempt, fit=growth.fit, delta_bic=last.attempt.delta_bic + delta_bic)
+    growth.accepted[-1] = dataclasses.replace(last, attempt=attempt)
 
 
 def _simplify(bench: Bench, growth: Growth) -> None:

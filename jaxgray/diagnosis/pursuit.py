@@ -7,6 +7,7 @@ from .bench import Bench, chain_of
 from .extension import Refit, refit, with_states
 from .residual import Chain
 from .stage import rows_of
+from .thresholds import from_other_thresholds
 
 RENEWALS = 6
 """How often the chain of a refit is renewed."""
@@ -24,6 +25,8 @@ TOLERABLE = 0.1
 def pursued(bench: Bench, fit: Refit) -> Refit:
     """A first refit carried to its end, whatever is noise at the forces told apart."""
     fit = along_the_valley(bench, with_new_chains(bench, fit))
+    other = from_other_thresholds(bench, fit, max_steps=25, tolerance=ROUGH)
+    fit = fit if other is fit else with_new_chains(bench, other)
     return settled(bench, fit, chain_of(bench, fit))
 
 

@@ -169,7 +169,7 @@ def _beyond(bench: Bench, base: _Base, scores: list[Score], rejected: list[Rejec
     bench.progress.stage(f"refitting {name[0]} at {name[1]}")
     last = simple.candidate.terms[-1]
     known = dict(zip((p.name for p in last.effect.parameters), last.values))
-    best = None
+    found = []
     for score in scores:
         shape = score.shape.term(score.weights)
         values = [known.get(p.name, value) for p, value in zip(shape.effect.parameters, shape.values)]
@@ -179,17 +179,19 @@ def _beyond(bench: Bench, base: _Base, scores: list[Score], rejected: list[Rejec
             abandon = np.exp((most - _penalty(bench, score)) / simple.count)
         options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
         fit = refit(bench.simulator, begin, bench.data, chain, **options)
-        if fit is not None and (best is None or criterion_of(bench, score, fit) < criterion_of(bench, *best)):
-            best = score, fit
-    if best is None:
+        if fit is not None:
+            found.append((criterion_of(bench, score, fit), score, fit))
+    if not found:
         rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
         return None
-    if criterion_of(bench, *best) > most:
+    if min(criterion for criterion, *_ in found) > most:
         why = f"explains no more than {base.score.shape.effect.id}, which it contains"
         rejected.append(Rejected(*name, scores[0].delta_bic, why))
         return None
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
-    return best[0], pursued(bench, best[1])
+    # A start that is ahead after a few steps need not lead to the best end.
+    ends = [(score, pursued(bench, fit)) for criterion, score, fit in found if criterion <= most]
+    return min(ends, key=lambda end: chain_of(bench, end[1]).cost + _penalty(bench, end[0]))
 
 
 def _followed(

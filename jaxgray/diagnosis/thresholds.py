@@ -1,0 +1,144 @@
+"""Sums of elements with a threshold each, begun again from other thresholds.
+
+Between two turning points of the record a threshold has little slope, and one element does for another what neither
+does alone: a refit ends where it began to look. Given M, D, K the elements are linear in their sizes, so the best few
+of many thresholds are chosen by least squares, and refitted from there.
+"""
+
+import itertools
+
+import numpy as np
+
+from ..mechanics.effects.base import AbstractEffect, Term
+from .bench import Bench, chain_of
+from .extension import Refit, refit
+from .features import features
+from .products import Products
+from .residual import Chain, white_chain
+from .sizes import scales_at
+from .stage import lines_of, sampled_plant, stage_of
+
+LEVELS = 24
+"""Thresholds that are looked at."""
+
+BEYOND = 1.5
+"""They reach so far beyond those that the law is begun with."""
+
+NEAR = np.array([0.85, 0.93, 0.97, 1.0, 1.03, 1.07, 1.15])
+"""Ratios to the thresholds of the refit that are looked at besides."""
+
+APART = (1.1, 1.3)
+"""Sets that are refitted: the best, and the best with a threshold so far from all of that."""
+
+TURNS = 3
+"""Times that they are chosen, every time with M, D, K of the refit before, as long as that pays."""
+
+COLOURED = 0.9
+"""Innovations over the residual, root mean squares, below which something is left to find."""
+
+WORTH = 10.0
+"""Difference in N ln cost from which another refit is the better one."""
+
+
+def elements_of(effect: AbstractEffect) -> list[tuple[int, int]]:
+    """Positions of size and threshold of every element, where a law is a sum of several of a kind; else none."""
+    sizes = [j for j, p in enumerate(effect.parameters) if p.amplitude]
+    thresholds = [j for j, p in enumerate(effect.parameters) if p.counts and not p.amplitude and p.lower == 0]
+    names = {effect.parameters[j].name for j in thresholds}
+    if len(thresholds) < 2 or len(names) > 1 or len(sizes) != len(thresholds):
+        return []
+    return list(zip(sizes, thresholds))
+
+
+def from_other_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+    """A refit whose last term is a sum of elements, or a better one from other thresholds.
+
+    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law is no such sum or leaves nothing
+    but white noise; `max_steps`, `tolerance`: of the refits.
+    """
+    elements = elements_of(fit.candidate.terms[-1].effect)
+    chain = chain_of(bench, fit) if elements else None
+    if chain is None or not _left(chain):
+        return fit
+    for _ in range(TURNS):
+        tried = _begun_again(bench, fit, elements, max_steps, tolerance)
+        best = min(tried, key=lambda one: one[1].cost, default=(fit, chain))
+        if not best[1].cost < chain.cost - WORTH:
+            break
+        fit, chain = best
+    return fit
+
+
+def _begun_again(
+    bench: Bench, fit: Refit, elements: list[tuple[int, int]], max_steps: int, tolerance: float
+) -> list[tuple[Refit, Chain]]:
+    """Refits from the sets of thresholds that explain most, each with the chain of what it leaves."""
+    data, term = bench.data[0], fit.candidate.terms[-1]
+    system = sampled_plant(bench.simulator.plant(fit.candidate), data, bench.simulator.setup.dofs)
+    white = white_chain(fit.residual[0], data.kept, system)
+    options = {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
+    found = []
+    for values in _chosen(bench, fit, white, elements):
+        terms = (*fit.candidate.terms[:-1], Term(term.effect, term.place, values))
+        again = refit(bench.simulator, fit.candidate.with_terms(terms), bench.data, white, **options)
+        if again is not None:
+            found.append((again, chain_of(bench, again)))
+    return found
+
+
+def _left(chain: Chain) -> bool:
+    return chain.ratio > 0.0 or bool(np.any(np.diag(chain.lower) < COLOURED * chain.level))
+
+
+def _chosen(bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, int]]) -> list[np.ndarray]:
+    """Values of the last term for the sets of thresholds that explain most, best first."""
+    data, (inputs, outputs) = bench.data[0], bench.names
+    term = fit.candidate.terms[-1]
+    effect, place, count = term.effect, term.place, len(elements)
+    stage = stage_of(bench.simulator, fit.candidate.with_terms(fit.candidate.terms[:-1]), data)
+    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - len(bench.held), bool)])
+    whole = stage_of(bench.simulator, fit.candidate, data)
+    scales = scales_at(stage.plant, whole.motion, data, inputs, outputs, lines_of(stage.e, data))
+    key = "input" if effect.places == "input" else "coordinate", place.name
+    begun = np.array([[values[j] for _, j in elements] for values in effect.shapes(scales[key])])
+    levels = np.geomspace(begun.min() / BEYOND, begun.max() * BEYOND, -(-LEVELS // count) * count)
+    # Beside those that it has as well: where the input takes few levels, minima lie close together.
+    levels = np.append(levels, np.outer(NEAR, [float(term.values[j]) for _, j in elements]))
+    rows = []
+    for part in levels.reshape(-1, count):
+        values = np.array(term.values, dtype=float)
+        for (size, threshold), level in zip(elements, part):
+            values[size], values[threshold] = 1.0, level
+        rows.append(values)
+    made = features(
+        stage.plant, whole.motion, data, (effect,), scales, inputs, outputs, shapes={(effect.id, place.name): rows}
+    )
+    products = Products(chain, stage.e, stage.J[:, :, kept], made.responses, data.kept)
+    everything = products.among(np.arange(len(levels)))
+    seen = np.flatnonzero(everything.visible(np.arange(len(levels))) & products.finite)
+    sets = np.array(list(itertools.combinations(seen, count)))
+    if not len(sets):
+        return []
+    targets = everything.target[sets]
+    inverse = np.linalg.pinv(everything.matrix[sets[:, :, None], sets[:, None, :]], rcond=1e-10, hermitian=True)
+    weights = np.einsum("kij,kj->ki", inverse, targets)
+    best: list[np.ndarray] = []
+    apart = list(APART)
+    for k in np.argsort(-np.sum(weights * targets, axis=1)):
+        values = np.array(term.values, dtype=float)
+        for (size, threshold), weight, column in zip(elements, weights[k], sets[k]):
+            values[size], values[threshold] = weight, levels[column]
+        if np.array_equal(effect.bounded(values), values) and (
+            not best or _distance(values, best[0], elements) > apart[0]
+        ):
+            apart = apart[1:] if best else apart
+            best.append(values)
+        if not apart:
+            break
+    return best
+
+
+def _distance(values: np.ndarray, other: np.ndarray, elements: list[tuple[int, int]]) -> float:
+    """Ratio of the threshold that is farthest from all of another set to the nearest of that set."""
+    one, two = (np.log([x[threshold] for _, threshold in elements]) for x in (values, other))
+    return float(np.exp(np.max(np.min(np.abs(one[:, None] - two[None, :]), axis=1))))

@@ -1,0 +1,93 @@
+"""Laws that a refit alone leaves at other values than their best: sums of elements, and what is accepted for that."""
+
+import dataclasses
+
+import hidden
+import numpy as np
+import pytest
+from found import diagnosed, hidden_case, model_findings
+from hidden_laws import Effect
+from hidden_simulation import System
+
+import jaxgray
+from jaxgray.diagnosis import growth as growing
+from jaxgray.diagnosis.bench import chain_of
+from jaxgray.diagnosis.extension import refit
+from jaxgray.diagnosis.grown import Accepted
+from jaxgray.diagnosis.pruning import prune
+from jaxgray.diagnosis.refitting import Attempt
+from jaxgray.diagnosis.thresholds import elements_of
+from jaxgray.mechanics.effects import CATALOGUE, by_id
+from jaxgray.mechanics.effects.base import Place, Term
+
+STAGE = System(
+    np.array([[1.0, 0.1], [0.1, 1.2]]),
+    np.array([[1.5, 0.2], [0.2, 1.0]]),
+    np.array([[900.0, -200.0], [-200.0, 1100.0]]),
+)
+WEIGHTS, RADII = (1.2, 1.05, 0.75), (0.4, 1.0, 1.6)
+
+
+def record(rng, samples=2000, time=0.005):
+    """Levels held for random times at both inputs, the second with play."""
+    u = np.empty((samples, 2))
+    for column in u.T:
+        k = 0
+        while k < samples:
+            length = int(rng.uniform(8, 120))
+            column[k : k + length] = rng.uniform(-2.0, 2.0)
+            k += length
+    y = hidden.simulate(STAGE, u, time, [Effect("play_hysteresis", "u2", {"w": list(WEIGHTS), "r": list(RADII)})])
+    return jaxgray.Record(u, y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), time)
+
+
+@pytest.mark.parametrize("seed", [0, 5, 10])
+def test_every_threshold_of_play_is_found(seed):
+    rng = np.random.default_rng(seed)
+    diagnosis = jaxgray.diagnose(record(rng), validation=record(rng), only=["play_hysteresis", "constant_force"])
+    (found,) = model_findings(diagnosis)
+    assert found.effect == "play_hysteresis" and diagnosis.verdict == "named", str(diagnosis)
+    order = np.argsort(found.parameters["r"].value)
+    for name, true in (("w", WEIGHTS), ("r", RADII)):
+        value, error = (
+            np.array(x)[order] for x in (found.parameters[name].value, found.parameters[name].standard_error)
+        )
+        assert np.all(np.abs(value - true) < 5 * error) and np.all(error < 0.1 * np.array(true)), str(diagnosis)
+    assert min(diagnosis.extended.fit_percent["validation"].values()) > 98.5, str(diagnosis)
+
+
+def test_only_sums_of_like_elements_are_begun_from_other_thresholds():
+    assert {effect.id for effect in CATALOGUE if elements_of(effect)} == {"play_hysteresis", "maxwell_slip_hysteresis"}
+
+
+def test_a_law_that_only_brings_another_to_its_best_values_is_not_kept(monkeypatch):
+    # As where the first law was accepted from values that were not its best: any law refitted with it mends them.
+    seen = []
+    monkeypatch.setattr(growing, "prune", lambda bench, growth: seen.append((bench, dataclasses.replace(growth))))
+    case = hidden_case("cubic_stiffness")
+    diagnosed(case, only=["cubic_stiffness", "constant_force"])
+    bench, growth = seen[0]
+    best, chain, accepted = growth.fit, chain_of(bench, growth.fit), growth.accepted[0]
+
+    def off(term):
+        return Term(term.effect, term.place, 0.8 * np.array(term.values, dtype=float))
+
+    poor = best.candidate.with_terms(tuple(map(off, best.candidate.terms)))
+    poor = refit(bench.simulator, poor, bench.data, chain, held=bench.held, max_steps=0)
+    added = Term(by_id("constant_force"), Place("y1", 0), np.zeros(1))
+    both = refit(
+        bench.simulator, poor.candidate.with_terms((*poor.candidate.terms, added)), bench.data, chain, held=bench.held
+    )
+    shape = dataclasses.replace(accepted.attempt.score.shape, effect=added.effect, place=added.place)
+    score = dataclasses.replace(accepted.attempt.score, shape=shape)
+    growth.accepted = [
+        dataclasses.replace(accepted, attempt=dataclasses.replace(accepted.attempt, fit=poor, delta_bic=100.0)),
+        Accepted(Attempt(score, both, chain, delta_bic=900.0), (), accepted.gain, growth.runs),
+    ]
+    growth.fit, growth.rejected = both, []
+    prune(bench, growth)
+    assert [one.attempt.name[0] for one in growth.accepted] == ["cubic_stiffness"]
+    assert [one.effect for one in growth.rejected] == ["constant_force"]
+    left, true = growth.accepted[0].attempt, float(best.candidate.terms[0].values[0])
+    assert float(left.fit.candidate.terms[0].values[0]) == pytest.approx(true, rel=0.02)
+    assert growth.fit is left.fit and left.delta_bic > 900
