@@ -98,7 +98,12 @@ def test_pendulum_is_pulled_by_the_sine_of_its_angle():
     assert effects(diagnosis) == ["sine_stiffness"] and diagnosis.verdict == "named"
     length = diagnosis.findings[-1].parameters["length"]
     assert abs(length.value - 1.0) < 3 * length.standard_error < 0.05
-    assert not np.any(diagnosis.extended.model.stiffness) and float(diagnosis.extended.model.damping[0, 0]) > 0
+    assert not np.any(diagnosis.extended.model.stiffness)
+    # Its friction is viscous: dry friction fitted to the motion itself comes out below nothing.
+    damping, error = (
+        float(X[0, 0]) for X in (diagnosis.extended.model.damping, diagnosis.extended.standard_errors["damping"])
+    )
+    assert damping > 4 * error > 0
     assert diagnosis.gain.held_out and diagnosis.gain.percent > 80
     assert "windows" in repr(diagnosis) and diagnosis_document(diagnosis)["verdict"] == "named"
 
