@@ -4,7 +4,6 @@ over samples in one piece.
 It reads its environment once, when it starts, which the first array may do. What the user has set there stays.
 """
 
-import functools
 import importlib.metadata
 import os
 import platform
@@ -98,7 +97,6 @@ def flags_are_known() -> bool:
     return EMITTER_VERSIONS[0] <= _release("jaxlib") < EMITTER_VERSIONS[1]
 
 
-@functools.cache
 def _release(package: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in re.findall(r"\d+", importlib.metadata.version(package))[:2])

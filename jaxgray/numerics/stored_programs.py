@@ -80,6 +80,12 @@ def _surroundings() -> bytes:
     return digest.digest()
 
 
+@functools.cache
+def _known_release() -> bool:
+    # Asked before every call, and read from files.
+    return flags_are_known()
+
+
 def _folder() -> pathlib.Path | None:
     """Where programs are kept; None for nowhere."""
     config = jax.config
@@ -88,7 +94,7 @@ def _folder() -> pathlib.Path | None:
     if os.environ.get(SWITCH) == "0":
         return None
     if (
-        not flags_are_known()
+        not _known_release()
         or config.jax_disable_jit
         or config.jax_debug_nans
         or config.jax_debug_infs
