@@ -21,6 +21,7 @@ import jax
 from jax.experimental import serialize_executable
 
 from .backend import flags_are_known, processor
+from .read_ahead import ReadAhead
 
 FOLDER = "jaxgray-programs"
 """Below the folder of jax's compilation cache."""
@@ -201,7 +202,8 @@ class StoredProgram:
             path = folder / hashlib.sha256(_surroundings() + wanted).hexdigest()
         except Exception:
             return None
-        known = _load(path)
+        _wake_lapack()
+        known = _ahead(path)
         if known is not None:
             return known
         forms = []
@@ -245,7 +247,6 @@ def _load(path: pathlib.Path) -> _Known | None:
     """The program that `_save` wrote; None where there is none that can be read."""
     if not path.exists():
         return None
-    _wake_lapack()
     try:
         payload, inputs, example = pickle.loads(path.read_bytes())
         in_tree = jax.tree_util.tree_structure(((0,) * inputs, {}))
@@ -254,6 +255,9 @@ def _load(path: pathlib.Path) -> _Known | None:
         return _Known(serialize_executable.deserialize_and_load(payload, in_tree, out_tree), form)
     except Exception:
         return None
+
+
+_ahead = ReadAhead(_load)
 
 
 def _save(path: pathlib.Path, known: _Known) -> None:
