@@ -15,6 +15,7 @@ from .extension import Layout, Refit
 from .grown import Accepted, Growth
 from .judgement import FreeRun
 from .problem import Candidate, Setup
+from .residual import white_part
 from .result import (
     Curves,
     Estimate,
@@ -206,8 +207,12 @@ def not_found_of(screening: Screening, bench: Bench, record: Record, taken: froz
     return tuple(result)
 
 
-def budget_of(growth: Growth, bench: Bench, floor: np.ndarray) -> dict[str, float]:
-    """Share of every finding, noise and the unexplained in the mean square error of the baseline, in percent."""
+def budget_of(growth: Growth, bench: Bench, floor: np.ndarray, *, all_noise: bool) -> dict[str, float]:
+    """Share of every finding, noise and the unexplained in the mean square error of the baseline, in percent.
+
+    **Arguments:** `floor` per output; `all_noise`: whether all that is left may be noise; otherwise no more than its
+    white part is.
+    """
     data = bench.data[0]
 
     def power(e):
@@ -219,8 +224,9 @@ def budget_of(growth: Growth, bench: Bench, floor: np.ndarray) -> dict[str, floa
         now = power(accepted.attempt.fit.residual[0])
         shares[f"{accepted.attempt.name[0]} at {accepted.attempt.name[1]}"] = 100 * (last - now) / before
         last = now
-    noise = min(1.0, last)
-    return {**shares, "noise": 100 * noise / before, "unexplained": 100 * max(last - noise, 0.0) / before}
+    most = 1.0 if all_noise else float(np.mean(white_part(growth.stage.e, data.kept) / floor**2))
+    noise = min(most, last)
+    return {**shares, "noise": 100 * noise / before, "unexplained": 100 * (last - noise) / before}
 
 
 def curves_of(bench: Bench, growth: Growth, records: list[Record], held: list[Record]) -> tuple[Curves, ...]:

@@ -18,6 +18,9 @@ from .residual import white_part
 TRUSTED_PERIODS = 2
 """Whole periods needed for a noise floor from what does not repeat."""
 
+ADOPTED = "residual of the final model"
+"""Source of a noise floor where the record has none that owes nothing to a model."""
+
 
 @dataclass(frozen=True)
 class Baseline:
@@ -101,4 +104,4 @@ def independent_floor(record: Record) -> tuple[Float[np.ndarray, " outputs"] | N
         white = np.sqrt(white_part(data.y[:quiet], data.kept[:quiet]))
         if np.all(floor > 0) and np.all(floor < 1.5 * white):
             return floor, "quiet head"
-    return None, "residual of the final model"
+    return None, ADOPTED

@@ -25,7 +25,7 @@ from .assembly import (
     shifts_of,
     summary_of,
 )
-from .baseline import baseline_of, independent_floor
+from .baseline import ADOPTED, baseline_of, independent_floor
 from .belief import residual_rms
 from .bench import Bench
 from .competitor import FlexibleForce
@@ -40,6 +40,7 @@ from .own_model import identified
 from .own_zeros import from_own_zeros
 from .problem import Data
 from .ranking import gate_of, rejected_of
+from .reach import beyond_the_fit
 from .record_findings import noise_findings, record_findings, still_spoilt
 from .refitting import explainable_share
 from .response import Simulator
@@ -183,7 +184,8 @@ def _of_clean_records(
     # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
     noise = () if growth.unexplained else noise_findings(records[0], growth.stage.e, growth.screening.chain)
     found = _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
-    return dataclasses.replace(found, findings=outliers + found.findings, warnings=anew + found.warnings)
+    warnings = anew + beyond_the_fit(records, held) + found.warnings
+    return dataclasses.replace(found, findings=outliers + found.findings, warnings=warnings)
 
 
 def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
@@ -240,7 +242,7 @@ def _assembled(
                 # The same, from the same draws: one finding must not have two intervals.
                 gain = growth.accepted[0].gain
     mends_model = any(accepted.stage == "model" for accepted in growth.accepted)
-    unexplained = growth.unexplained or (source != "residual of the final model" and excess >= UNEXPLAINED)
+    unexplained = growth.unexplained or (source != ADOPTED and excess >= UNEXPLAINED)
     test = None if identification is None else identification.structure_test
     if not growth.accepted and test is not None and _misfits(test, growth):
         unexplained = True
@@ -275,7 +277,7 @@ def _assembled(
         rejected=rejected_of(bench, growth, records[0]),
         not_found=not_found_of(growth.screening, bench, records[0], taken),
         shifts=shifts,
-        budget=budget_of(growth, bench, floor),
+        budget=budget_of(growth, bench, floor, all_noise=source != ADOPTED or not unexplained),
         next_experiment=_experiment(bench, growth, records[0], floor),
         warnings=warnings,
         records=tuple(records),
