@@ -14,6 +14,7 @@ from .force_route import Search, rms_of
 from .force_scores import Scores
 from .gain import gain_of
 from .judgement import FreeRun, overall
+from .pushes import warnings_of
 from .record_findings import noise_findings
 from .residual import white_part
 from .result import Curves, Diagnosis, Finding, Member, ModelSummary, NotFound
@@ -60,7 +61,8 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
         "No free run over the whole record is usable: decided in the force equation below "
         f"{search.equation.series[0].cutoff_hz:.3g} Hz; fits and errors are those of free runs over windows of "
         f"{window:.3g} s, the first state of each estimated.",
-        f"Relative force error: {errors[0]:.3g} before, {errors[1]:.3g} after.",
+        f"Relative force error where it moves: {errors[0]:.3g} before, {errors[1]:.3g} after.",
+        *warnings_of(search.pushes, [*search.records, *held], search.model(search.fit)),
     )
     noise = noise_findings(record, _padded(search.runs[0][0].e, record))
     return Diagnosis(
@@ -140,7 +142,8 @@ def _summary(search: Search, fit: ForceFit, runs: tuple[list[FreeRun], list[Free
     fits = {}
     for kind, records, made in zip(("estimation", "validation"), (search.records, search.held), runs):
         if records:
-            measured = np.concatenate([r.y[: len(run.simulated)] for r, run in zip(records, made)])
+            counted = [np.where(run.kept, r.y[: len(run.kept)], np.nan) for r, run in zip(records, made)]
+            measured = np.concatenate(counted)
             fits[kind] = fit_of(measured, np.concatenate([run.simulated for run in made]))
     per_output = [
         {kind: dict(zip(model.output_names, map(float, getattr(f, name)))) for kind, f in fits.items()}

@@ -22,6 +22,7 @@ from .force_scores import Library, Scores, score
 from .force_windows import Windows, window_samples
 from .gain import gain_of
 from .judgement import ACCEPTED, ALIKE, SIGNIFICANT, FreeRun
+from .pushes import Push, pushes_of, samples_of
 from .result import Gain, Rejected
 from .screening import GATE
 
@@ -36,6 +37,9 @@ MOST = 0.8
 
 EXPLAINED = 0.1
 """Least share of the remaining power of the force that a finding must explain."""
+
+PASSES = 3
+"""Times that forces beside the inputs are looked for in what is left."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,6 @@ class Search:
     held: list[Record]
     drive: AbstractDrive
     equation: Equation
-    rating: Equation
     library: Library
     windows: Windows
     rng: np.random.Generator
@@ -96,6 +99,7 @@ class Search:
     base_runs: tuple[list[FreeRun], list[FreeRun]] = ((), ())
     runs: tuple[list[FreeRun], list[FreeRun]] = ((), ())
     strong: bool = False
+    pushes: tuple[Push, ...] = ()
 
     def model(self, fit: ForceFit) -> MechanicalModel:
         """The model of a fit."""
@@ -113,8 +117,8 @@ class Search:
         )
 
     def error(self, fit: ForceFit) -> float:
-        """Relative force error over all rows, those at rest included."""
-        return self.rating.relative_error(fit)
+        """Relative force error where the body moves: at rest dry friction takes any value."""
+        return self.equation.relative_error(fit)
 
     def run(self, fit: ForceFit) -> tuple[list[FreeRun], list[FreeRun]]:
         """Free runs on the windows of the records, and of those held out."""
@@ -132,7 +136,7 @@ def search_forces(
     rng: np.random.Generator,
     progress: AbstractProgress,
 ) -> Search:
-    """Add laws to the force equation until nothing more is found.
+    """Add laws to the force equation until nothing more is found, without what pushes besides the inputs.
 
     **Arguments:** `records`, `held`: to fit, and to judge; `drive`: forces; `catalogue`; `max_effects`; `rng`: of the
     resampling; `progress`.
@@ -141,23 +145,36 @@ def search_forces(
 
     **Raises:** `ComputationError` where the force equation has no solution of positive mass.
     """
+    pushes: tuple[Push, ...] = ()
+    for _ in range(PASSES):
+        search = _search(records, held, drive, catalogue, max_effects, pushes, rng, progress)
+        # The largest hide the others.
+        more = pushes_of(search.fit, search.windows.series, search.equation.input_map)
+        if not more:
+            break
+        pushes += more
+    return search
+
+
+def _search(records, held, drive, catalogue, max_effects, pushes, rng, progress) -> Search:
+    """The same with given pushes left out."""
     progress.stage("setting up the force equation")
     E = np.asarray(drive.input_map)
     cutoff = min(band_of(_filled(r), r.sampling_time) for r in records)
-    series = [series_of(r, cutoff) for r in records]
-    everything = [series_of(r, cutoff, at_rest=True) for r in records + held]
+    left_out = samples_of(pushes, records + held)
+    series = [series_of(r, cutoff, left_out=mask) for r, mask in zip(records, left_out)]
+    everything = [series_of(r, cutoff, at_rest=True, left_out=mask) for r, mask in zip(records + held, left_out)]
     equation = Equation(series, E)
-    rating = Equation(everything[: len(records)], E)
     if min(len(s.rows) for s in series) < 4 * equation.entries + 8:
         raise ComputationError(
             RESULTS.too_short, stage="force equation", detail=f"{len(series[0].rows)} rows below {cutoff:.3g} Hz"
         )
     length = window_samples(records + held)
-    windows = Windows(records + held, everything, length)
+    windows = Windows(records + held, everything, length, left_out)
     names = records[0].input_names, records[0].output_names
     progress.stage("looking for effects")
     library = Library.of(equation, catalogue, names)
-    search = Search(records, held, drive, equation, rating, library, windows, rng, progress)
+    search = Search(records, held, drive, equation, library, windows, rng, progress, pushes=pushes)
     search.base = search.fit = _settled(equation, ())
     if search.base is None:
         raise ComputationError(RESULTS.nonfinite, stage="force equation", detail="no positive mass fits the record")
@@ -225,13 +242,18 @@ def _refused(search: Search, trial: Trial) -> str | None:
         for bound in (parameter.lower, parameter.upper):
             if np.isfinite(bound) and abs(value - bound) <= 1e-9 * max(abs(bound), abs(value), 1e-300):
                 return f"{parameter.name} ran to its physical bound"
+    other_law = trial.term.effect.unresolved(
+        np.asarray(trial.term.values, float), search.equation.scales(trial.term.effect, trial.term.place)
+    )
+    if other_law is not None:
+        return other_law
     place, parts = trial.term.place.name, _symbols(trial.term)
     if sum(t.trial.term.place.name == place and bool(_symbols(t.trial.term) & parts) for t in search.taken) > 1:
         return "a second refinement of what is in the model already"
     size = trial.fit.significance(len(trial.fit.terms) - 1)
     if size < SIGNIFICANT:
         return f"only {size:.1f} standard errors from nothing"
-    before, after = (search.equation.relative_error(fit) for fit in (search.fit, trial.fit))
+    before, after = (search.error(fit) for fit in (search.fit, trial.fit))
     share = 1 - (after / before) ** 2
     if share < EXPLAINED:
         return f"explains only {100 * share:.0f} % of what is left of the force"

@@ -26,7 +26,7 @@ ABOVE_NOISE = 100.0
 ROWS_PER_CYCLE = 2.5
 """Rows kept per cycle of the cut-off frequency: about as many as are independent."""
 
-AT_REST = 0.05
+AT_REST = 0.1
 """Share of the typical velocity below which a coordinate counts as at rest."""
 
 ORDER = 4
@@ -89,13 +89,20 @@ def band_of(y: Float[np.ndarray, "samples outputs"], sampling_time: float) -> fl
     return float(np.clip(found, min(lowest, highest), highest))
 
 
-def series_of(record: Record, cutoff_hz: float, *, at_rest: bool = False) -> Series:
+def series_of(
+    record: Record,
+    cutoff_hz: float,
+    *,
+    at_rest: bool = False,
+    left_out: Bool[np.ndarray, " samples"] | None = None,
+) -> Series:
     """A record through the zero-phase low-pass, with derivatives of the filtered motion by central differences.
 
-    **Arguments:** `record`: displacements or velocities measured; `cutoff_hz`; `at_rest`: keep rows at rest as well.
+    **Arguments:** `record`: displacements or velocities measured; `cutoff_hz`; `at_rest`: keep rows at rest as well;
+    `left_out`: samples that say nothing, default none.
 
-    **Returns:** a `Series`; rows at rest (unless asked for), near the ends and near missing samples are
-    left out.
+    **Returns:** a `Series`; rows at rest (unless asked for), near the ends and near samples that are missing or left
+    out are not among its rows.
     """
     h = record.sampling_time
     b, a = scipy.signal.butter(ORDER, min(2 * cutoff_hz * h, 0.99))
@@ -113,16 +120,22 @@ def series_of(record: Record, cutoff_hz: float, *, at_rest: bool = False) -> Ser
     edge = int(np.ceil(0.5 / (cutoff_hz * h)))
     good = np.ones(record.samples, bool)
     good[:edge] = good[-edge:] = False
-    for gap in np.flatnonzero(~known.all(axis=1)):
+    lost = ~known.all(axis=1) if left_out is None else ~known.all(axis=1) | left_out
+    for gap in np.flatnonzero(lost):
         good[max(0, gap - edge) : gap + edge + 1] = False
     # At rest dry friction takes any value up to its limit: such rows say nothing of it, and mislead about the rest.
     if not at_rest:
-        good &= np.all(np.abs(v) > AT_REST * np.sqrt(np.mean(v**2, axis=0)), axis=1)
+        good &= ~at_rest_of(v)
     step = max(1, int(1.0 / (ROWS_PER_CYCLE * cutoff_hz * h)))
     rows = np.arange(0, record.samples, step)
     start, end = (np.asarray(x) for x in held_input(jnp.asarray(record.u), record.hold))
     p = np.zeros(record.samples) if record.scheduling is None else record.scheduling
     return Series(q, v, acceleration, start, end, p, rows[good[rows]], b, a, cutoff_hz, h)
+
+
+def at_rest_of(v: Float[np.ndarray, "samples dofs"]) -> Bool[np.ndarray, " samples"]:
+    """Where any coordinate rests, of filtered velocities."""
+    return np.any(np.abs(v) <= AT_REST * np.sqrt(np.mean(v**2, axis=0)), axis=1)
 
 
 def _bridged(column: Float[np.ndarray, " samples"], known: Bool[np.ndarray, " samples"]) -> np.ndarray:

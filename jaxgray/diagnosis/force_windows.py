@@ -8,7 +8,7 @@ from ..mechanics.extended import Plant, plant_run, slots_of
 from ..mechanics.model import MechanicalModel
 from ..numerics.stored_programs import stored
 from ..records import Record
-from .force_rows import Series
+from .force_rows import Series, at_rest_of
 from .judgement import FreeRun
 
 WINDOW = 1.0
@@ -17,7 +17,15 @@ WINDOW = 1.0
 SHORTEST, LONGEST = 50, 2000
 """Samples a window may have."""
 
-STEPS = 8
+FEWEST = 2
+"""Windows in motion from which those at rest do not count."""
+
+STEPS, PATIENCE = 30, 6
+"""Steps for the first states, and how many may bring nothing before they end: where friction holds a body for a while,
+the error has steps of its own."""
+
+PAYS = 1e-3
+"""Relative fall of a window's error that is worth a step."""
 
 
 def window_samples(records: list[Record]) -> int:
@@ -40,15 +48,21 @@ class Windows:
     """Free runs of models on the windows of some records, all of one length and run together.
 
     **Arguments:** `records`; `series`: the same in the band of the regression, for first guesses; `samples` of a
-    window.
+    window; `left_out`: samples of every record on which no window counts that has any of them.
     """
 
-    def __init__(self, records: list[Record], series: list[Series], samples: int):
+    def __init__(self, records: list[Record], series: list[Series], samples: int, left_out: list[np.ndarray]):
         self.samples, self.series = samples, series
         self.counts = [r.samples // samples for r in records]
         self.time = records[0].sampling_time
         self.y = self._cut([r.y for r in records])
         self.first = self._cut([np.concatenate([s.q, s.v], axis=1) for s in series])[:, 0]
+        usable = ~self._cut(left_out).any(axis=1)
+        # What rests on dry friction does so whatever else the model has, and creeps as no law says.
+        moving = usable & (self._cut([at_rest_of(s.v) for s in series]).mean(axis=1) < 0.5)
+        ends = np.cumsum(self.counts)
+        counted = [m if m.sum() >= FEWEST else u for m, u in zip(np.split(moving, ends), np.split(usable, ends))]
+        self.known = np.isfinite(self.y) & np.concatenate(counted)[:, None, None]
 
     def _cut(self, X: list[np.ndarray]) -> np.ndarray:
         """Series of all records as windows × samples × channels."""
@@ -69,19 +83,23 @@ class Windows:
         slots = slots_of(model.effects, plant, laws)
         inputs = (self._cut([getattr(s, name) for s in self.series]) for name in ("start", "end", "scheduling"))
         series = (*map(jnp.asarray, inputs), slots, jnp.asarray(self.time), laws)
-        known = np.isfinite(self.y)
+        known = self.known
         target = np.where(known, self.y, 0.0)
         size = np.sqrt(np.sum(target**2, axis=(0, 1)) / np.maximum(known.sum(axis=(0, 1)), 1))
         weight = known / np.where(size > 0, size, 1.0)
         x0, best = self.first.copy(), np.full(len(target), np.inf)
         kept, y = x0.copy(), np.zeros_like(target)
         damping = np.full(len(target), 1e-9)
+        idle = 0
         for _ in range(STEPS + 1):
             made, J = self._run_and_slopes(plant, x0, series)
             e = (target - made) * weight
             cost = np.sum(e**2, axis=(1, 2))
             better = np.isfinite(cost) & (cost < best)
+            idle = 0 if np.any(better & ~(cost > (1 - PAYS) * best)) else idle + 1
             y, kept, best = (np.where(_wide(better, x), x, old) for x, old in ((made, y), (x0, kept), (cost, best)))
+            if idle > PATIENCE:
+                break
             damping = np.where(better, damping / 10, damping * 100)
             table = (J * weight[..., None]).reshape(len(target), -1, J.shape[-1])
             for k in range(len(target)):

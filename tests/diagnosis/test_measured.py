@@ -92,19 +92,17 @@ def test_positioning_system_has_the_published_friction():
     assert held_out(plain.extended, "position") <= 0.26 * before
 
 
-def test_pendulum_is_pulled_by_the_sine_of_its_angle():
+def test_pendulum_is_pulled_by_the_sine_of_its_angle_and_rubs_in_its_bearings():
     record = measured("pendulum_energy", "torque", "angle")
     diagnosis = jaxgray.diagnose(record)
-    assert effects(diagnosis) == ["sine_stiffness"] and diagnosis.verdict == "named"
-    length = diagnosis.findings[-1].parameters["length"]
-    assert abs(length.value - 1.0) < 3 * length.standard_error < 0.05
+    assert effects(diagnosis) == ["sine_stiffness", "coulomb_friction"] and diagnosis.verdict == "named"
+    gravity, friction = (f.parameters for f in diagnosis.findings if f.stage == "model")
+    assert abs(gravity["length"].value - 1.0) < 3 * gravity["length"].standard_error < 0.05
+    assert 0.1 < friction["Fc"].value < 0.3 and friction["Fc"].value > 8 * friction["Fc"].standard_error
     assert not np.any(diagnosis.extended.model.stiffness)
-    # Its friction is viscous: dry friction fitted to the motion itself comes out below nothing.
-    damping, error = (
-        float(X[0, 0]) for X in (diagnosis.extended.model.damping, diagnosis.extended.standard_errors["damping"])
-    )
-    assert damping > 4 * error > 0
-    assert diagnosis.gain.held_out and diagnosis.gain.percent > 80
+    # A hand that threw it once more, 16 s after the start.
+    assert any("From 15." in text and "12 N m acts at angle that is not among" in text for text in diagnosis.warnings)
+    assert diagnosis.gain.held_out and diagnosis.gain.ci95[0] > 80
     assert "windows" in repr(diagnosis) and diagnosis_document(diagnosis)["verdict"] == "named"
 
 
@@ -150,6 +148,36 @@ def test_friction_of_a_rigid_body_is_found_in_the_force_equation():
     assert friction.value == pytest.approx(2.0, rel=0.05)
     assert search.error(search.fit) < 0.3 * search.error(search.base)
     assert any("Relative force error" in text for text in diagnosis.warnings)
+
+
+def knocked(start, *hidden_effects, force=90.0, length=0.1):
+    """The same, with a knock that no input holds [s, N]."""
+    rng = np.random.default_rng(4)
+    t = 0.01 * np.arange(3000)
+    u = 6 * np.sin(2 * np.pi * 0.4 * t) + 8 * np.sin(2 * np.pi * 0.7 * t + 1) + 4 * np.sin(2 * np.pi * 1.3 * t + 2)
+    knock = np.where((t >= start) & (t < start + length), force, 0.0)
+    y = hidden.simulate(SLIDER, (u + knock)[:, None], 0.01, hidden_effects)
+    return jaxgray.Record(u, y + 1e-5 * rng.standard_normal(y.shape), 0.01).split(0.3)
+
+
+@pytest.mark.parametrize("start", [10.2, 25.4], ids=["in the fit", "held out"])
+def test_a_knock_is_said_and_left_out(start):
+    diagnosis, search = by_force(*knocked(start, Effect("coulomb_friction", "y1", {"Fc": 2.0})), LAWS)
+    assert effects(diagnosis) == ["coulomb_friction"] and diagnosis.verdict == "named"
+    friction = diagnosis.findings[-1].parameters["Fc"]
+    assert friction.value == pytest.approx(2.0, rel=0.05)
+    (push,) = search.pushes
+    record = (search.records + search.held)[push.record]
+    assert record.time[push.first] <= start and record.time[push.last] >= start + 0.1
+    assert record.time[push.last] - record.time[push.first] < 1.0 and push.force > 2 * push.applied > 0
+    (said,) = (text for text in diagnosis.warnings if "not among the inputs" in text)
+    assert "at y1" in said and "left out" in said
+    assert held_out(diagnosis.extended, "y1") < 0.1 * held_out(diagnosis.baseline, "y1")
+
+
+def test_forces_of_the_inputs_size_are_no_knock():
+    _, search = by_force(*knocked(10.2, Effect("coulomb_friction", "y1", {"Fc": 2.0}), force=10.0), LAWS)
+    assert search.pushes == ()
 
 
 def test_a_rigid_body_with_nothing_hidden_is_left_alone():

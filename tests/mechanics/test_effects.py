@@ -474,6 +474,12 @@ def test_mass_step_acts_as_added_mass():
     assert (applied - f) / mass == pytest.approx(applied / (mass + dm))
 
 
+@pytest.mark.parametrize("Fs, said", [(0.5, True), (1.5, False)])
+def test_friction_that_falls_towards_rest_is_no_stribeck_friction(Fs, said):
+    why = by_id("stribeck_friction").unresolved(np.array([1.0, Fs, 0.1, 0.01]), None)
+    assert (why is not None and "rounded off" in why) == said
+
+
 def test_signs_are_those_of_the_left_side():
     def force(name, p):
         one = jnp.ones(())

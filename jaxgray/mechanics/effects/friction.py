@@ -128,6 +128,10 @@ class StribeckFriction(AbstractForceEffect):
         p[2] = max(p[2], 2 * p[3])
         return p
 
+    def unresolved(self, p, scales):
+        less = p[1] < p[0]
+        return "friction that falls towards rest is the turn of dry friction, rounded off" if less else None
+
     def force(self, p, here, z):
         near_rest = jnp.exp(-(ratio(here.v, p[2]) ** 2))
         size = p[0] * (1.0 - near_rest) + p[1] * near_rest
