@@ -191,7 +191,10 @@ def _curves(search: Search) -> tuple[Curves, ...]:
     result = []
     for held_out, records in enumerate((search.records, search.held)):
         for k, record in enumerate(records):
-            before, after = (x[held_out][k].simulated for x in (search.base_runs, search.runs))
+            # Windows that do not count are not drawn: the worst of all would be one that something else pushed.
+            before, after = (
+                np.where(x[held_out][k].kept, x[held_out][k].simulated, np.nan) for x in (search.base_runs, search.runs)
+            )
             cut = len(before)
             result.append(Curves(record.time[:cut], record.y[:cut], before, after, bool(held_out)))
     return tuple(result)
