@@ -171,15 +171,20 @@ def _in_order(shapes, laws, results):
     return np.array(index, dtype=int)
 
 
-def _force_columns(shapes, plant, motion, data, outputs):
-    term = Term(shapes[0].effect, shapes[0].place, np.zeros(0))
-    arm = arm_of(term, plant)
+def forces_of(shapes: list[Shape], plant: Plant, motion: Motion, data: Data) -> Float[np.ndarray, "columns samples"]:
+    """Forces over a motion for the basis of every shape, in their order; all shapes at one place."""
+    arm = arm_of(Term(shapes[0].effect, shapes[0].place, np.zeros(0)), plant)
     channel = shapes[0].place.first if shapes[0].effect.places == "input" else -1
     laws, vectors = _columns(shapes)
     u = np.zeros(len(data.u)) if channel < 0 else data.u[:, channel]
     here = _seen(motion.q, motion.v, u, data.u, arm, plant, data.traced_sampling_time, data.scheduling)
     series = [_force_series(law, stacked, here, data.traced_sampling_time) for law, stacked in zip(laws, vectors)]
-    forces = np.concatenate([np.asarray(s) for s in series])[_in_order(shapes, laws, series)]
+    return np.concatenate([np.asarray(s) for s in series])[_in_order(shapes, laws, series)]
+
+
+def _force_columns(shapes, plant, motion, data, outputs):
+    arm = arm_of(Term(shapes[0].effect, shapes[0].place, np.zeros(0)), plant)
+    forces = forces_of(shapes, plant, motion, data)
     return _responses(
         plant,
         -arm[:, None],

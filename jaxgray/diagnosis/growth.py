@@ -13,6 +13,7 @@ from .credit import CLEAR, by_free_run, by_free_runs, lend, lendable, withdraw
 from .gain import gain_of
 from .grown import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
 from .hidden_modes import hidden_modes
+from .imitation import left_behind
 from .judgement import ACCEPTED, at_bound
 from .own_model import wrong_entries
 from .problem import Candidate
@@ -156,6 +157,8 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
         ids = standing_for(ranked[0].name[0]) - {effect for effect, _ in tried}
         others = unheard(ids, screening, closer, tried)
         late = [instead_of(bench, stage, ranked[0], scores, growth.rejected) for scores in others]
+        behind = {(one.effect, one.location) for one in growth.rejected[before:]} - set(attempts)
+        late += left_behind(bench, stage, ranked[0], behind, (closer, screening), growth.rejected)
         if any(late):
             ranked = compared(bench, stage, ranked + [attempt for attempt in late if attempt is not None])
     ranked = simplified(ranked)

@@ -8,6 +8,9 @@ from .base import AbstractForceEffect, Parameter
 SHORTEST = 1e-100
 """Least length that is divided by, so that no value of a parameter makes a NaN."""
 
+SMALL = 0.5
+"""Angle [rad] within which a sine differs from a line and a cubic by less than 0.03 % of its largest force."""
+
 
 def beyond(x, gap):
     """The part of a signal outside ± `gap`: x − clip(x, ±gap)."""
@@ -138,6 +141,10 @@ class SineStiffness(AbstractForceEffect):
 
     def shapes(self, scales):
         return [np.array([1.0, scales.q_peak / angle]) for angle in (0.5, 1.0, 2.0, 4.0)]
+
+    def unresolved(self, p, scales):
+        angle = scales.q_peak / max(p[1], SHORTEST)
+        return f"in {angle:.2g} rad it is a cubic spring" if angle < SMALL else None
 
     def force(self, p, here, z):
         length = jnp.maximum(p[1], SHORTEST)
