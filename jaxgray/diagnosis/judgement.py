@@ -124,10 +124,18 @@ def significance(fit: Refit, layout: Layout, term: int) -> float:
 
 
 def at_bound(fit: Refit, term: int) -> str | None:
-    """The parameter of a term that lies at a physical bound, None where none does."""
-    effect, values = fit.candidate.terms[term].effect, np.array(fit.candidate.terms[term].values, dtype=float)
+    """The parameter of a term that lies at a physical bound, None where none does.
+
+    What a simpler law at the same place has taken upon itself is no bound of the wider one: their sum is inside.
+    """
+    own = fit.candidate.terms[term]
+    effect, values = own.effect, np.array(own.values, dtype=float)
+    inside = [t.effect for t in fit.candidate.terms if t.place == own.place and t.effect.id in effect.contains]
+    taken = {parameter.name for simpler in inside for parameter in simpler.parameters}
     for k, parameter in enumerate(effect.parameters):
         if not parameter.counts or not (np.isfinite(parameter.lower) or np.isfinite(parameter.upper)):
+            continue
+        if parameter.name in taken:
             continue
         for change in (-NUDGE, NUDGE):
             beyond = values.copy()

@@ -70,7 +70,7 @@ class Products:
         self.rows = int(used.sum())
 
         def white(X):
-            return chain.whiten_rows(X, kept, used).reshape(len(X), -1)
+            return chain.whiten_rows(X, kept, used).reshape(len(X), kept.size)
 
         self.model = white(np.moveaxis(np.concatenate([J, e[:, :, None]], axis=2), 2, 0))
         self.finite = np.isfinite(responses.sum(axis=(1, 2)))

@@ -1,4 +1,5 @@
-"""What newer findings make of the older: terms that are needless now, and laws that a simpler one can stand for.
+"""What newer findings make of the older: laws that are part of a wider one, terms that are needless now, and laws that
+a simpler one can stand for.
 
 The newest may be the needless one: where the others had not come to their best values, any law that is refitted with
 them brings them there, and has the credit.
@@ -22,13 +23,55 @@ LITTLE = 3.0
 
 
 def prune(bench: Bench, growth: Growth) -> None:
-    """Drop the terms that the newer ones have made needless; where there is none, put simpler laws in the place of
-    those that hardly differ from them."""
+    """Make one law of the newest and of what it contains, and drop the terms that the newer ones have made needless;
+    where there is none, put simpler laws in the place of those that hardly differ from them."""
     before = len(growth.accepted)
+    _unite(bench, growth)
     while len(growth.accepted) > 1 and _dropped(bench, growth):
         pass
     if len(growth.accepted) == before:
         _simplify(bench, growth)
+
+
+def _unite(bench: Bench, growth: Growth) -> None:
+    """Let the newest law stand alone, in the place of a simpler one that it contains and that was accepted where it
+    acts: beside it, what both name is shared between them at will."""
+    terms = growth.fit.candidate.terms
+    wide, accepted = terms[-1], growth.accepted[-1]
+    inside = [t.effect.id in wide.effect.contains and t.place == wide.place for t in terms[:-1]]
+    if not any(inside):
+        return
+    k = inside.index(True)
+    whole = (*terms[:k], _sum_of(wide, terms[k]), *terms[k + 1 : -1])
+    found = _instead(bench, growth, growth.fit.candidate.with_terms(whole))
+    if found is None:
+        return
+    fit, ratio, rows = found
+    gone = growth.accepted[k]
+    change = ratio - gone.attempt.score.shape.free * np.log(rows)
+    if change >= ACCEPTED:
+        return
+    why = f"contained in {wide.effect.id}, which explains as much alone"
+    growth.rejected.append(Rejected(*gone.attempt.name, float(change), why))
+    # What stood for either of them was refitted beside other terms; it is compared with their sum at the end.
+    known = {r.name: r for r in (*gone.rivals, *accepted.rivals) if r.name != accepted.attempt.name}
+    rivals = tuple(dataclasses.replace(r, criterion=np.inf) for r in known.values())
+    worth = accepted.attempt.delta_bic + gone.attempt.delta_bic - change
+    attempt = dataclasses.replace(accepted.attempt, fit=gone.attempt.fit, delta_bic=float(worth))
+    growth.accepted.pop()
+    growth.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals, runs=gone.runs)
+    _take(bench, growth, fit)
+    if k == len(growth.accepted) - 1:
+        _credit(growth, 0.0)
+
+
+def _sum_of(wide: Term, simple: Term) -> Term:
+    """The wider law with the part of the simpler one as well, or nearly: where a refit of it alone begins."""
+    values = np.array(wide.values, dtype=float)
+    sizes = [p.amplitude for p in wide.effect.parameters]
+    known = {p.name: float(value) for p, value in zip(simple.effect.parameters, simple.values)}
+    part = wide.effect.widened(np.where(sizes, 0.0, values), known)
+    return Term(wide.effect, wide.place, wide.effect.bounded(np.where(sizes, values + part, values)))
 
 
 def _dropped(bench: Bench, growth: Growth) -> bool:

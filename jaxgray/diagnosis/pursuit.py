@@ -7,7 +7,7 @@ from .bench import Bench, chain_of
 from .extension import Refit, refit, with_states
 from .residual import Chain
 from .stage import rows_of
-from .thresholds import from_other_thresholds
+from .thresholds import at_fewer_thresholds, from_other_thresholds
 
 RENEWALS = 6
 """How often the chain of a refit is renewed."""
@@ -27,6 +27,7 @@ def pursued(bench: Bench, fit: Refit) -> Refit:
     fit = along_the_valley(bench, with_new_chains(bench, fit))
     other = from_other_thresholds(bench, fit, max_steps=25, tolerance=ROUGH)
     fit = fit if other is fit else with_new_chains(bench, other)
+    fit = at_fewer_thresholds(bench, fit, max_steps=25, tolerance=ROUGH)
     return settled(bench, fit, chain_of(bench, fit))
 
 

@@ -172,8 +172,7 @@ def _beyond(bench: Bench, base: _Base, scores: list[Score], rejected: list[Rejec
     found = []
     for score in scores:
         shape = score.shape.term(score.weights)
-        values = [known.get(p.name, value) for p, value in zip(shape.effect.parameters, shape.values)]
-        term = Term(shape.effect, shape.place, shape.effect.bounded(np.array(values, dtype=float)))
+        term = Term(shape.effect, shape.place, shape.effect.widened(np.array(shape.values, dtype=float), known))
         begin = simple.candidate.with_terms((*simple.candidate.terms[:-1], term))
         with np.errstate(over="ignore"):
             abandon = np.exp((most - _penalty(bench, score)) / simple.count)

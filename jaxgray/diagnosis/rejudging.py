@@ -21,9 +21,11 @@ STEPS = 10
 
 def rejudge(bench: Bench, growth: Growth) -> None:
     """Refit every rival in its finding's place in the model with all findings. Those that are far behind leave the
-    class; one that is far ahead takes the place. The last finding's rivals were refitted there."""
-    for k in range(len(growth.accepted) - 1):
-        if growth.accepted[k].rivals:
+    class; one that is far ahead takes the place. The last finding's rivals were refitted there, unless it took in a law
+    that it contains."""
+    last = len(growth.accepted) - 1
+    for k, accepted in enumerate(growth.accepted):
+        if k < last and accepted.rivals or any(np.isinf(rival.criterion) for rival in accepted.rivals):
             bench.progress.stage(f"judging rivals of {growth.accepted[k].attempt.name[0]} again")
             _class_again(bench, growth, k)
 

@@ -3,16 +3,21 @@
 Between two turning points of the record a threshold has little slope, and one element does for another what neither
 does alone: a refit ends where it began to look. Given M, D, K the elements are linear in their sizes, so the best few
 of many thresholds are chosen by least squares, and refitted from there.
+
+Where a record needs fewer, the elements at hand do for one another in many ways, and none of them is determined: the
+size of each may be nothing, and where it is, its threshold means nothing. Elements at one threshold are one.
 """
 
 import itertools
 
 import numpy as np
+import scipy.special
 
 from ..mechanics.effects.base import AbstractEffect, Term
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .features import features
+from .judgement import at_bound
 from .products import Products
 from .residual import Chain, white_chain
 from .sizes import scales_at
@@ -38,6 +43,12 @@ COLOURED = 0.9
 
 WORTH = 10.0
 """Difference in N ln cost from which another refit is the better one."""
+
+BY_CHANCE = 0.01
+"""Probability at which chance alone makes further thresholds pay."""
+
+ONE = 1e-3
+"""Relative difference up to which thresholds are the same."""
 
 
 def elements_of(effect: AbstractEffect) -> list[tuple[int, int]]:
@@ -69,6 +80,35 @@ def from_other_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance
     return fit
 
 
+def at_fewer_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+    """A refit whose last term is a sum of elements, with as few different thresholds as explain the record as well
+    (likelihood ratio).
+
+    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law is no such sum, where all of its
+    thresholds pay, or where it leaves more than white noise; `max_steps`, `tolerance`: of the refits.
+    """
+    term = fit.candidate.terms[-1]
+    elements = elements_of(term.effect)
+    chain = chain_of(bench, fit) if elements else None
+    # What else is missing could pass for noise that hides a threshold. At a bound an element is out already.
+    if chain is None or _left(chain) or at_bound(fit, len(fit.candidate.terms) - 1) is not None:
+        return fit
+    options = {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
+    whole = refit(bench.simulator, fit.candidate, bench.data, chain, **options)
+    for distinct in range(1, len(elements)) if whole is not None else ():
+        most = scipy.special.chdtri(2 * (len(elements) - distinct), BY_CHANCE)
+        for values in _chosen(bench, fit, chain, elements, distinct)[:1]:
+            terms = (*fit.candidate.terms[:-1], Term(term.effect, term.place, values))
+            few = refit(bench.simulator, fit.candidate.with_terms(terms), bench.data, chain, **options)
+            if few is None or not few.count * np.log(few.cost / whole.cost) < most:
+                continue
+            shared = [float(few.candidate.terms[-1].values[j]) for _, j in elements[distinct - 1 :]]
+            # What rounding parts and the record then draws further apart was not one.
+            if np.ptp(shared) < ONE * max(shared):
+                return few
+    return fit
+
+
 def _begun_again(
     bench: Bench, fit: Refit, elements: list[tuple[int, int]], max_steps: int, tolerance: float
 ) -> list[tuple[Refit, Chain]]:
@@ -90,8 +130,11 @@ def _left(chain: Chain) -> bool:
     return chain.ratio > 0.0 or bool(np.any(np.diag(chain.lower) < COLOURED * chain.level))
 
 
-def _chosen(bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, int]]) -> list[np.ndarray]:
-    """Values of the last term for the sets of thresholds that explain most, best first."""
+def _chosen(
+    bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, int]], distinct: int | None = None
+) -> list[np.ndarray]:
+    """Values of the last term for the sets of thresholds that explain most, best first; so many of them `distinct`
+    (default all), the last of these shared by the rest of the elements in equal parts."""
     data, (inputs, outputs) = bench.data[0], bench.names
     term = fit.candidate.terms[-1]
     effect, place, count = term.effect, term.place, len(elements)
@@ -116,7 +159,9 @@ def _chosen(bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, in
     products = Products(chain, stage.e, stage.J[:, :, kept], made.responses, data.kept)
     everything = products.among(np.arange(len(levels)))
     seen = np.flatnonzero(everything.visible(np.arange(len(levels))) & products.finite)
-    sets = np.array(list(itertools.combinations(seen, count)))
+    distinct = count if distinct is None else distinct
+    shared = count - distinct + 1
+    sets = np.array(list(itertools.combinations(seen, distinct)))
     if not len(sets):
         return []
     targets = everything.target[sets]
@@ -126,7 +171,9 @@ def _chosen(bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, in
     apart = list(APART)
     for k in np.argsort(-np.sum(weights * targets, axis=1)):
         values = np.array(term.values, dtype=float)
-        for (size, threshold), weight, column in zip(elements, weights[k], sets[k]):
+        parts = [*weights[k][:-1], *[weights[k][-1] / shared] * shared]
+        columns = [*sets[k][:-1], *[sets[k][-1]] * shared]
+        for (size, threshold), weight, column in zip(elements, parts, columns):
             values[size], values[threshold] = weight, levels[column]
         if np.array_equal(effect.bounded(values), values) and (
             not best or _distance(values, best[0], elements) > apart[0]

@@ -1,6 +1,7 @@
 """Laws that a refit alone leaves at other values than their best: sums of elements, and what is accepted for that."""
 
 import dataclasses
+import zlib
 
 import hidden
 import numpy as np
@@ -28,7 +29,7 @@ STAGE = System(
 WEIGHTS, RADII = (1.2, 1.05, 0.75), (0.4, 1.0, 1.6)
 
 
-def record(rng, samples=2000, time=0.005):
+def record(rng, samples=2000, time=0.005, weights=WEIGHTS, radii=RADII):
     """Levels held for random times at both inputs, the second with play."""
     u = np.empty((samples, 2))
     for column in u.T:
@@ -37,7 +38,7 @@ def record(rng, samples=2000, time=0.005):
             length = int(rng.uniform(8, 120))
             column[k : k + length] = rng.uniform(-2.0, 2.0)
             k += length
-    y = hidden.simulate(STAGE, u, time, [Effect("play_hysteresis", "u2", {"w": list(WEIGHTS), "r": list(RADII)})])
+    y = hidden.simulate(STAGE, u, time, [Effect("play_hysteresis", "u2", {"w": list(weights), "r": list(radii)})])
     return jaxgray.Record(u, y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), time)
 
 
@@ -54,6 +55,38 @@ def test_every_threshold_of_play_is_found(seed):
         )
         assert np.all(np.abs(value - true) < 5 * error) and np.all(error < 0.1 * np.array(true)), str(diagnosis)
     assert min(diagnosis.extended.fit_percent["validation"].values()) > 98.5, str(diagnosis)
+
+
+def check_thresholds(diagnosis, weights, radii):
+    """Play with these thresholds and no others; elements that share one are determined together."""
+    (found,) = model_findings(diagnosis)
+    said = str(diagnosis)
+    assert found.effect == "play_hysteresis" and diagnosis.verdict == "named", said
+    w, r = (np.array(found.parameters[name].value) for name in ("w", "r"))
+    w_error, r_error = (np.array(found.parameters[name].standard_error) for name in ("w", "r"))
+    nearest = np.argmin(np.abs(r[:, None] - np.array(radii)), axis=1)
+    for k, (weight, radius) in enumerate(zip(weights, radii)):
+        here = nearest == k
+        assert here.any() and np.ptp(r[here]) < 1e-3 * radius, said
+        assert np.all(np.abs(r[here] - radius) < 5 * r_error[here]) and np.all(r_error[here] < 0.1 * radius), said
+        # The errors of what is one add up.
+        assert abs(w[here].sum() - weight) < 5 * w_error[here].sum() < 0.5 * weight, said
+
+
+def test_play_that_needs_fewer_thresholds_has_no_more():
+    rng, weights, radii = np.random.default_rng(2), (0.5, 0.9), (0.6, 1.4)
+    records = [record(rng, weights=weights, radii=radii) for _ in range(2)]
+    diagnosis = jaxgray.diagnose(records[0], validation=records[1], only=["play_hysteresis", "constant_force"])
+    check_thresholds(diagnosis, weights, radii)
+
+
+def test_play_is_believed_where_its_elements_do_for_one_another():
+    # One threshold, under a chirp: three leave nothing but noise, and each alone may as well be nothing.
+    rng = np.random.default_rng([92001, 0, zlib.crc32(b"play_hysteresis"), 1])
+    case = hidden.random_case(rng, "play_hysteresis", excess=(1.5, 4.0), samples=4000, dofs=(1, 2, 3))
+    diagnosis = diagnosed(case, only=["play_hysteresis", "constant_force", "unmodelled_mode"])
+    parameters = case.effects[0].parameters
+    check_thresholds(diagnosis, parameters["w"], parameters["r"])
 
 
 def test_only_sums_of_like_elements_are_begun_from_other_thresholds():

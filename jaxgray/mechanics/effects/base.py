@@ -144,6 +144,11 @@ class AbstractEffect(eqx.Module):
         response straighter."""
         return p + change
 
+    def widened(self, p: np.ndarray, simple: dict[str, float]) -> np.ndarray:
+        """Where a refit begins that goes on from a simpler law, one that this `contains`: what both name has the values
+        of `simple`, everything else those of `p`."""
+        return self.bounded([simple.get(parameter.name, value) for parameter, value in zip(self.parameters, p)])
+
     def unresolved(self, p: np.ndarray, scales: Scales) -> str | None:
         """Why the law is another one at these values, as far as a record can show: one clause for the reader, or None
         (default). `p`: parameter vector; `scales`: sizes of the record at the place."""

@@ -132,6 +132,10 @@ class StribeckFriction(AbstractForceEffect):
         less = p[1] < p[0]
         return "friction that falls towards rest is the turn of dry friction, rounded off" if less else None
 
+    def widened(self, p, simple):
+        # Coulomb's friction is that at rest as well: from too little there, a refit makes the rest narrow to nothing.
+        return super().widened(p, simple | {"Fs": simple.get("Fc", p[1])})
+
     def force(self, p, here, z):
         near_rest = jnp.exp(-(ratio(here.v, p[2]) ** 2))
         size = p[0] * (1.0 - near_rest) + p[1] * near_rest

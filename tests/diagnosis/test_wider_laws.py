@@ -1,0 +1,86 @@
+"""Laws that turn into a simpler one: where their refit begins, and what becomes of the simpler one beside them."""
+
+import dataclasses
+import zlib
+
+import hidden
+import numpy as np
+import pytest
+from found import check_found, diagnosed
+
+import jaxgray
+from jaxgray.diagnosis import growth as growing
+from jaxgray.diagnosis.bench import chain_of
+from jaxgray.diagnosis.extension import refit
+from jaxgray.diagnosis.grown import Accepted
+from jaxgray.diagnosis.judgement import at_bound
+from jaxgray.diagnosis.pruning import prune
+from jaxgray.diagnosis.refitting import Attempt
+from jaxgray.mechanics.effects import by_id
+from jaxgray.mechanics.effects.base import Term
+
+LAWS = ["coulomb_friction", "stribeck_friction", "constant_force"]
+
+
+@pytest.fixture(scope="module")
+def friction():
+    """A record with friction that is larger at rest, what is said about it, and the loop once the first was accepted.
+
+    The score asks for less friction at rest than in motion, and a refit from there makes vs run to nothing.
+    """
+    rng = np.random.default_rng([92001, 0, zlib.crc32(b"stribeck_friction"), 4])
+    case = hidden.random_case(rng, "stribeck_friction", excess=(1.5, 4.0), samples=4000, dofs=(1, 2, 3))
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(growing, "prune", lambda bench, growth: seen.append((bench, dataclasses.replace(growth))))
+        diagnosis = diagnosed(case, only=LAWS)
+    return case, diagnosis, seen
+
+
+def test_friction_at_rest_is_found_from_the_refit_without_it(friction):
+    case, diagnosis, _ = friction
+    check_found(case, diagnosis)
+    assert diagnosis.verdict == "named" and diagnosis.findings[0].effect == "stribeck_friction", str(diagnosis)
+
+
+def test_a_wider_law_takes_in_the_simpler_one_accepted_before(friction):
+    bench, growth = friction[2][0]
+    whole, chain, accepted = growth.fit, chain_of(bench, growth.fit), growth.accepted[0]
+    wide = whole.candidate.terms[0]
+    Fc, Fs, vs, eps = (float(value) for value in wide.values)
+    simple = Term(by_id("coulomb_friction"), wide.place, np.array([Fc, eps]))
+    first = refit(bench.simulator, whole.candidate.with_terms((simple,)), bench.data, chain, held=bench.held)
+    # The same force as the sum of two laws, of which the wider one has nothing left of what both name.
+    beside = Term(wide.effect, wide.place, np.array([0.0, Fs - Fc, vs, eps]))
+    both = whole.candidate.with_terms((simple, beside))
+    both = refit(bench.simulator, both, bench.data, chain, held=bench.held, max_steps=0)
+    assert at_bound(both, 1) is None
+    assert at_bound(dataclasses.replace(both, candidate=both.candidate.with_terms((beside,))), 0) == "Fc"
+
+    score, shape = accepted.attempt.score, accepted.attempt.score.shape
+    coulomb = dataclasses.replace(score, shape=dataclasses.replace(shape, effect=simple.effect))
+    growth.accepted = [
+        Accepted(Attempt(coulomb, first, chain, delta_bic=300.0), (), accepted.gain, growth.runs),
+        dataclasses.replace(accepted, attempt=Attempt(score, both, chain, delta_bic=200.0), rivals=()),
+    ]
+    growth.fit, growth.rejected = both, []
+    prune(bench, growth)
+    (left,) = growth.accepted
+    assert left.attempt.name == ("stribeck_friction", wide.place.name) and left.attempt.fit is growth.fit
+    assert [(one.effect, one.location) for one in growth.rejected] == [("coulomb_friction", wide.place.name)]
+    np.testing.assert_allclose(growth.fit.candidate.terms[0].values, wide.values, rtol=0.02)
+    assert left.attempt.delta_bic > 480
+
+
+def test_a_wider_law_begins_as_the_simpler_one():
+    simple, wide = (by_id(name) for name in LAWS[:2])
+    p = wide.widened(np.array([0.3, 0.1, 0.5, 1e-3]), {"Fc": 0.7, "eps": 2e-3})
+    v = np.linspace(-2.0, 2.0, 41)
+    here = jaxgray.mechanics.effects.base.Local(0.0, v, 0.0, 1.0, 0.0, 0.0, 0.0)
+    np.testing.assert_allclose(wide.force(p, here, None), simple.force(np.array([0.7, 2e-3]), here, None), rtol=1e-12)
+
+
+def test_a_record_is_judged_where_no_law_is_left_to_look_for(friction):
+    diagnosis = diagnosed(friction[0], only=["coulomb_friction"])
+    assert [finding.effect for finding in diagnosis.findings] == ["coulomb_friction"], str(diagnosis)
+    assert diagnosis.verdict == "partly", str(diagnosis)
