@@ -18,7 +18,7 @@ from .judgement import ACCEPTED, at_bound
 from .own_model import wrong_entries
 from .problem import Candidate
 from .pruning import prune
-from .refitting import Attempt, attempts_of, compared, unresolved
+from .refitting import WEAKER, Attempt, attempts_of, compared, unresolved
 from .rejudging import rejudge
 from .residual import white_chain
 from .result import Rejected
@@ -157,7 +157,8 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
         ids = standing_for(ranked[0].name[0]) - {effect for effect, _ in tried}
         others = unheard(ids, screening, closer, tried)
         late = [instead_of(bench, stage, ranked[0], scores, growth.rejected) for scores in others]
-        behind = {(one.effect, one.location) for one in growth.rejected[before:]} - set(attempts)
+        new = growth.rejected[before:]
+        behind = {(one.effect, one.location) for one in new if one.why.startswith(WEAKER)} - set(attempts)
         late += left_behind(bench, stage, ranked[0], behind, (closer, screening), growth.rejected)
         if any(late):
             ranked = compared(bench, stage, ranked + [attempt for attempt in late if attempt is not None])

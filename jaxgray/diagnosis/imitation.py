@@ -49,7 +49,8 @@ def left_behind(
     for score in (score for table in tables for score in table.scores):
         name = score.shape.effect.id, score.shape.place.name
         same_kind = isinstance(score.shape.effect, AbstractForceEffect) and score.shape.effect.places != "input"
-        if name in tried and name[1] == term.place.name and same_kind:
+        nested = term.effect.id in score.shape.effect.contains or score.shape.effect.id in term.effect.contains
+        if name in tried and name[1] == term.place.name and same_kind and not nested:
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
     found = [_imitating(bench, best.fit, list(scores[name].values())) for name in sorted(scores)]
     near = sorted((pair for pair in found if pair[0] < ALIKE), key=lambda pair: pair[0])[:NEARBY]

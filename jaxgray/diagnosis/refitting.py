@@ -27,6 +27,9 @@ twice this."""
 STANDING_ALIKE = 10.0
 """Difference of BIC within which two laws that are easily alike count as one class."""
 
+WEAKER = "explains less than the best candidate of its round"
+"""Why a law is not carried to its end."""
+
 HELD_BACK = 4
 """Steps for which a term keeps its first size while the linear model gives back what it had taken."""
 
@@ -128,7 +131,7 @@ def _outright(
     fits = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
         if criterion > best + HOPELESS:
-            why = f"explains less than the best candidate of its round (by {criterion - best:.0f})"
+            why = f"{WEAKER} (by {criterion - best:.0f})"
             rejected.append(Rejected(*name, score.delta_bic, why))
             continue
         bound = at_bound(fit, len(fit.candidate.terms) - 1)
@@ -211,7 +214,7 @@ def _followed(
         if behind < HOPELESS:
             result[name] = score, sharp if name == best else at_the_same_steps(bench, fit)
         else:
-            why = f"explains less than the best candidate of its round (by {behind:.0f})"
+            why = f"{WEAKER} (by {behind:.0f})"
             rejected.append(Rejected(*name, score.delta_bic, why))
     return result
 

@@ -7,7 +7,7 @@ from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .judgement import ACCEPTED
 from .pursuit import ROUGH, pursued
-from .refitting import CONTACT, HOPELESS, Attempt, by_contact, criterion_of
+from .refitting import CONTACT, HOPELESS, WEAKER, Attempt, by_contact, criterion_of
 from .result import Rejected
 from .screening import Score, Screening
 from .shortlist import same_start
@@ -69,7 +69,7 @@ def instead_of(
         return None
     behind = criterion_of(bench, *found) - most + HOPELESS
     if behind > HOPELESS:
-        why = f"explains less than the best candidate of its round (by {behind:.0f})"
+        why = f"{WEAKER} (by {behind:.0f})"
         rejected.append(Rejected(*name, scores[0].delta_bic, why))
         return None
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
