@@ -26,6 +26,7 @@ from .result import (
     ParameterShift,
 )
 from .screening import Screening
+from .thresholds import at_one_threshold, elements_of
 
 
 def unit_text(powers: tuple[int, int, int], force: str, length: str) -> str:
@@ -59,7 +60,7 @@ def units_at(term: Term, record: Record) -> tuple[str, str]:
 
 
 def estimates_of(term: Term, errors: dict[int, float], record: Record) -> dict[str, Estimate]:
-    """Parameters of a term by symbol; those of the same name as one list.
+    """Parameters of a term by symbol; those of the same name as one list, elements at one threshold as one element.
 
     **Arguments:** `term`; `errors`: standard error by position, for those that were estimated; `record`.
     """
@@ -77,7 +78,24 @@ def estimates_of(term: Term, errors: dict[int, float], record: Record) -> dict[s
             spread = old.standard_error if isinstance(old.standard_error, tuple) else (old.standard_error,)
             new = Estimate((*values, new.value), (*spread, new.standard_error), unit)
         result[parameter.name] = new
+    for elements in elements_of(term.effect)[:1]:
+        size, threshold = (term.effect.parameters[j].name for j in elements)
+        result |= dict(zip((size, threshold), _joined(result[size], result[threshold])))
     return result
+
+
+def _joined(size: Estimate, threshold: Estimate) -> tuple[Estimate, Estimate]:
+    """Elements of a sum with those at one threshold as one. They share its size in equal parts, with one error between
+    them: their responses are the same, and only the sum of their sizes was estimated."""
+    groups = at_one_threshold(threshold.value)
+
+    def together(values, how):
+        return tuple(None if values[g[0]] is None else float(how([values[j] for j in g])) for g in groups)
+
+    return (
+        Estimate(together(size.value, sum), together(size.standard_error, sum), size.unit),
+        Estimate(together(threshold.value, np.mean), together(threshold.standard_error, np.mean), threshold.unit),
+    )
 
 
 def term_errors(fit: Refit, setup: Setup, index: int) -> dict[int, float]:

@@ -15,6 +15,7 @@ from ..mechanics.effects.base import AbstractForceEffect, AbstractInputEffect, T
 from ..mechanics.extended import arm_along, input_matrix_of
 from .force_rows import Series, band_of, contribution, series_of
 from .result import Curves, Diagnosis, Finding
+from .thresholds import at_one_threshold, elements_of
 
 MOST_ROWS = 1500
 """Rows kept at most: enough to see a law by."""
@@ -159,11 +160,18 @@ class _Equation:
             name: list(e) if isinstance(e := one.standard_error, tuple) else [e]
             for name, one in finding.parameters.items()
         }
+        elements = elements_of(term.effect)
+        groups = at_one_threshold([float(term.values[level]) for _, level in elements])
+        # Elements at one threshold have one size and one threshold between them.
+        together = {elements[g[0]][1]: [elements[k][1] for k in g] for g in groups}
+        joined = {j for g in groups for k in g[1:] for j in elements[k]}
         for j, parameter in enumerate(term.effect.parameters):
+            if j in joined:
+                continue
             error = errors[parameter.name].pop(0) if errors.get(parameter.name) else None
             if error:
                 values = np.array(term.values, float)
-                values[j] += error
+                values[together.get(j, [j])] += error
                 moved = contribution(term.effect, term.place, values, self.series, self.input_map)
                 step = moved - self.laws[term.effect.id, term.place.name]
                 if np.all(np.isfinite(step)):

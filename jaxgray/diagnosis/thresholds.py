@@ -61,6 +61,23 @@ def elements_of(effect: AbstractEffect) -> list[tuple[int, int]]:
     return list(zip(sizes, thresholds))
 
 
+def one_threshold(levels: list[float]) -> bool:
+    """Whether thresholds are the same."""
+    return bool(np.ptp(levels) <= ONE * max(levels))
+
+
+def at_one_threshold(levels) -> list[list[int]]:
+    """Positions of thresholds, those that are the same together."""
+    groups: list[list[int]] = []
+    for k, level in enumerate(levels):
+        same = [group for group in groups if one_threshold([levels[group[0]], level])]
+        if same:
+            same[0].append(k)
+        else:
+            groups.append([k])
+    return groups
+
+
 def from_other_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
     """A refit whose last term is a sum of elements, or a better one from other thresholds.
 
@@ -102,9 +119,8 @@ def at_fewer_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: 
             few = refit(bench.simulator, fit.candidate.with_terms(terms), bench.data, chain, **options)
             if few is None or not few.count * np.log(few.cost / whole.cost) < most:
                 continue
-            shared = [float(few.candidate.terms[-1].values[j]) for _, j in elements[distinct - 1 :]]
             # What rounding parts and the record then draws further apart was not one.
-            if np.ptp(shared) < ONE * max(shared):
+            if one_threshold([float(few.candidate.terms[-1].values[j]) for _, j in elements[distinct - 1 :]]):
                 return few
     return fit
 

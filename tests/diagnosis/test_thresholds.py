@@ -12,6 +12,7 @@ from hidden_simulation import System
 
 import jaxgray
 from jaxgray.diagnosis import growth as growing
+from jaxgray.diagnosis.assembly import estimates_of
 from jaxgray.diagnosis.bench import chain_of
 from jaxgray.diagnosis.extension import refit
 from jaxgray.diagnosis.grown import Accepted
@@ -124,3 +125,14 @@ def test_a_law_that_only_brings_another_to_its_best_values_is_not_kept(monkeypat
     left, true = growth.accepted[0].attempt, float(best.candidate.terms[0].values[0])
     assert float(left.fit.candidate.terms[0].values[0]) == pytest.approx(true, rel=0.02)
     assert growth.fit is left.fit and left.delta_bic > 900
+
+
+def test_elements_at_one_threshold_are_said_as_one():
+    term = Term(by_id("play_hysteresis"), Place("u1", 0), np.array([0.05, 0.05, 0.2, 1.4, 1.4001, 3.0]))
+    one = jaxgray.Record(np.ones((10, 1)), np.ones((10, 1)), 0.1, input_units=("V",), output_units=("um",))
+    errors = dict(zip(range(6), (0.01, 0.01, 0.02, 0.04, 0.04, 0.1)))
+    said = estimates_of(term, errors, one)
+    assert said["w"].value == pytest.approx((0.1, 0.2)) and said["w"].standard_error == pytest.approx((0.02, 0.02))
+    assert said["r"].value == pytest.approx((1.40005, 3.0)) and said["r"].standard_error == pytest.approx((0.04, 0.1))
+    apart = Term(term.effect, term.place, np.array([0.05, 0.05, 0.2, 1.4, 1.5, 3.0]))
+    assert estimates_of(apart, errors, one)["r"].value == (1.4, 1.5, 3.0)
