@@ -28,9 +28,6 @@ STANDING_LEVEL = 0.1
 SPECIAL = {("bouc_wen_hysteresis", "dahl_friction")}
 """Laws that contain another under other names: Dahl's friction is A = Fc/x_d, beta = 1/x_d, gamma = 0."""
 
-LIMITS = {("sine_stiffness", "cubic_stiffness")}
-"""Laws that another becomes at the end of its range: a cubic spring is a sine of any great length."""
-
 
 def standing_for(effect_id: str) -> frozenset[str]:
     """Ids of the laws that are easily taken for one."""
@@ -39,9 +36,6 @@ def standing_for(effect_id: str) -> frozenset[str]:
 
 def alike(best: Attempt, other: Attempt) -> float:
     """Difference of BIC within which two attempts count as one class."""
-    if (other.name[0], best.name[0]) in LIMITS:
-        # Its further parameter costs as much as a record must say to tell them apart, and says nothing against it.
-        return STANDING_ALIKE + other.penalty - best.penalty
     return STANDING_ALIKE if other.name[0] in standing_for(best.name[0]) else ALIKE
 
 
