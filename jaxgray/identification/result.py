@@ -247,7 +247,10 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
     for text in spread.weak_directions:
         remedy = "Excite nearer to the natural frequencies" if "mass" in text else "Excite it more"
         result.append(f"Hardly determined by this record: {text}. {remedy}, or fix entries that you know.")
-    result += [f"At the edge of what is physical: {text}; its error bar is one-sided." for text in spread.at_edge]
+    for text in spread.at_edge:
+        # No body is without mass: a record that says so does not show its inertia.
+        remedy = " Excite nearer to the natural frequencies, where inertia shows." if text.startswith("mass") else ""
+        result.append(f"At the edge of what is physical: {text}; its error bar is one-sided.{remedy}")
     errors, mass = spread.standard_errors()["mass"], np.asarray(model.mass)
     for k, name in enumerate(model.output_names):
         if errors[k, k] > 0.5 * abs(mass[k, k]):
