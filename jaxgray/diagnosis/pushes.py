@@ -44,7 +44,7 @@ def pushes_of(fit: ForceFit, series: list[Series], input_map: np.ndarray) -> tup
     equation = Equation(series, input_map)
     left = [np.abs(e) for e in equation.residual(fit)]
     usual = 1.4826 * np.median(np.concatenate(left), axis=0)
-    applied = float(np.max([np.abs(force).max() for force in equation.force]))
+    applied = float(np.max([np.abs(force).max(initial=0.0) for force in equation.force]))
     found = []
     for record, (e, one) in enumerate(zip(left, series)):
         for dof in range(equation.dofs):
