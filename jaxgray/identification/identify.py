@@ -1,5 +1,7 @@
 """From records to a physical model: the pipeline, nothing else."""
 
+from functools import partial
+
 import jax
 import numpy as np
 
@@ -19,7 +21,7 @@ from .refine import refine as refine_model
 from .result import Identification, assess
 from .rigid import DRIFT, rigid_modes, windows, without_stiffness
 from .start import Start, StartOptions, filled, model_run, nearest_physical, total_deviation
-from .starts import starts_of
+from .starts import other_starts, starts_of
 from .structure import structure_of
 from .sweep import default_time_constants, score, usable_block_rows
 
@@ -162,7 +164,8 @@ def identify(
                 deviation=start.deviation,
             )
 
-        start, refinement = _best_refined(starts, refined, setting, signals, progress)
+        others = partial(other_starts, complete, setting, scaling.sampling_time, options, start, progress)
+        start, refinement = _best_refined(starts, others, refined, setting, signals, progress)
         M, D, K = refinement.mass, refinement.damping, refinement.stiffness
     progress.stage("assessing")
     matrices = [np.array(X) for X in scaling.matrices_out(*jax.device_get((M, D, K)))]
@@ -246,27 +249,36 @@ def _start_options(
     return StartOptions(taus, rows, weight, map, input_matrix_from, known_mass, thorough)
 
 
-def _best_refined(starts: list[Start], refined, setting: Setting, signals: list[Signals], progress: AbstractProgress):
+def _best_refined(
+    starts: list[Start], others, refined, setting: Setting, signals: list[Signals], progress: AbstractProgress
+):
     """The start whose refinement simulates best, and that refinement.
 
-    A start that serves is refined alone. From poor ones a refinement may end in another minimum, so that the best few
-    are refined, until one end is near the record.
+    A start that serves is refined alone, and the others too where that does not settle. From poor ones a refinement
+    may end in another minimum, so that the best few are refined, until one end is near the record.
     """
     best = failure = None
-    for k, start in enumerate(starts[:MOST_STARTS]):
+    left_over = list(starts)
+    for k in range(MOST_STARTS):
+        if not left_over:
+            break
+        start = left_over.pop(0)
         progress.stage("refining" if k == 0 else f"refining from another start ({k + 1})")
         try:
             end = refined(start)
         except ComputationError as error:
             failure = failure or error
             continue
-        if len(starts) == 1:
-            return start, end
+        settled = end.result == RESULTS.successful
+        if k == 0 and len(starts) == 1:
+            if settled:
+                return start, end
+            left_over = others()
         left = total_deviation((end.mass, end.damping, end.stiffness), setting, signals)
         reached = float(score(left))
         if best is None or reached > best[0]:
             best = reached, start, end
-        if np.all(left < NEAR):
+        if settled and np.all(left < NEAR):
             break
     if best is None:
         raise failure

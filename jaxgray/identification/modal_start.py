@@ -4,6 +4,8 @@ Where a sensor lags or an effect is strong, residues are not those of any M, D, 
 wrong frequencies too. Poles are common to all outputs and survive it.
 """
 
+import itertools
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
@@ -26,8 +28,9 @@ def modal_start(signals: list[Signals], setting: Setting) -> Start:
     """M, D, K from the modes of the longest record.
 
     One mode after the other is added to a model with free residues, one more than there are coordinates (it may stand
-    for what is not mechanical). The strongest that oscillate give shapes: the residue of mode j is φ_j φ_jᵀ, its size
-    kept where its phase is not that of a mechanical system; then M = (ΦΦᵀ)⁻¹, K and D with the poles' c0 and c1.
+    for what is not mechanical: a drift takes a slow and strong one). As many of those that oscillate as there are
+    coordinates give shapes, the choice that simulates best: the residue of mode j is φ_j φ_jᵀ, its size kept where its
+    phase is not that of a mechanical system; then M = (ΦΦᵀ)⁻¹, K and D with the poles' c0 and c1.
 
     **Arguments:** `signals`: scaled records; `setting`.
 
@@ -48,17 +51,20 @@ def modal_start(signals: list[Signals], setting: Setting) -> Start:
         starts = [np.concatenate([fit.poles, new[None]]) for new in further_modes(fit, data, keep=TRIES)]
         fit = min((fit_rival(poles, data, steps=STEPS) for poles in starts), key=lambda found: found.cost)
     c0, c1 = np.exp(fit.poles).T
-    strength = np.sum(fit.motions**2, axis=(0, 2))
-    modes = [j for j in np.argsort(-strength) if c1[j] < 2 * OSCILLATING * np.sqrt(c0[j])][:dofs]
+    modes = np.flatnonzero(c1 < 2 * OSCILLATING * np.sqrt(c0))
     if len(modes) < dofs:
         raise ComputationError(RESULTS.order_not_found, stage="modal start")
     back = np.linalg.pinv(np.asarray(setting.drive.input_map))
-    shapes = [_shape(_residue(fit, data, j, setting) @ back) for j in modes]
-    inverse = np.linalg.pinv(np.stack(shapes, axis=1))
-    matrices = tuple(
-        jnp.asarray(inverse.T @ np.diag(weights) @ inverse) for weights in (np.ones(dofs), c1[modes], c0[modes])
-    )
-    return Start(matrices, total_deviation(matrices, setting, signals), "modal", None, None, None, None)
+    shapes = {j: _shape(_residue(fit, data, j, setting) @ back) for j in modes}
+    found = []
+    for chosen in map(list, itertools.combinations(modes, dofs)):
+        inverse = np.linalg.pinv(np.stack([shapes[j] for j in chosen], axis=1))
+        matrices = tuple(
+            jnp.asarray(inverse.T @ np.diag(weights) @ inverse) for weights in (np.ones(dofs), c1[chosen], c0[chosen])
+        )
+        deviation = total_deviation(matrices, setting, signals)
+        found.append(Start(matrices, deviation, "modal", None, None, None, None))
+    return max(found, key=lambda start: start.score)
 
 
 def _residue(fit: RivalFit, data: Whitened, j: int, setting: Setting) -> Complex[np.ndarray, "outputs inputs"]:

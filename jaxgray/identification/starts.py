@@ -3,7 +3,7 @@
 import warnings
 
 from ..mechanics.drives import Force
-from ..numerics.outcomes import ComputationError
+from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress
 from .modal_start import modal_start
 from .prediction import Setting
@@ -29,19 +29,36 @@ def starts_of(
         failure = error
     if found and found[0].serves:
         return found[:1]
-    if isinstance(setting.drive, Force):
-        first = found[0] if found else None
-        for name, start in (
-            ("regression", lambda: regression_start(signals, setting, options.time_constants, sampling_time, first)),
-            ("modal", lambda: modal_start(signals, setting)),
-        ):
-            progress.stage(f"{name} start")
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", RuntimeWarning)
-                    found.append(start())
-            except ComputationError as error:
-                failure = failure or error
-    if not found:
-        raise failure
-    return sorted(found, key=lambda start: -start.score)
+    others = other_starts(signals, setting, sampling_time, options, found[0] if found else None, progress)
+    if not found and not others:
+        raise failure or ComputationError(RESULTS.unstable_start, stage="start")
+    return sorted(found + others, key=lambda start: -start.score)
+
+
+def other_starts(
+    signals: list[Signals],
+    setting: Setting,
+    sampling_time: float,
+    options: StartOptions,
+    first: Start | None,
+    progress: AbstractProgress,
+) -> list[Start]:
+    """Those that regression and modes give, none where they fail.
+
+    **Arguments:** as of `starts_of`; `first`: a model whose free run may serve as instruments.
+    """
+    if not isinstance(setting.drive, Force):
+        return []
+    found = []
+    for name, start in (
+        ("regression", lambda: regression_start(signals, setting, options.time_constants, sampling_time, first)),
+        ("modal", lambda: modal_start(signals, setting)),
+    ):
+        progress.stage(f"{name} start")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)
+                found.append(start())
+        except ComputationError:
+            continue
+    return found
