@@ -2,11 +2,19 @@
 
 import numpy as np
 
-from ..mechanics.effects.base import AbstractOutputEffect, Scales, Term
+from ..mechanics.effects.base import AbstractForceEffect, AbstractOutputEffect, Scales, Term
+from .begun_again import from_other_values, products_of
 from .bench import Bench
 from .equations import weighted
+from .extension import Refit
 from .problem import Candidate
 from .residual import Chain
+
+FINER = 8
+"""Moments looked at for every one that a law is begun with."""
+
+FINEST = 24
+"""And again between the best of these and its neighbours."""
 
 
 def softened(term: Term, scales: Scales) -> list[Term]:
@@ -58,3 +66,52 @@ def dated(bench: Bench, candidate: Candidate, chain: Chain, span: float) -> Cand
     left = [np.where(data.kept, data.y - bench.simulator.run(one, data), 0.0) for one in found]
     costs = np.sum(weighted(chain, np.stack(left, axis=2), data.kept) ** 2, axis=0)
     return found[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
+
+
+def from_other_moments(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+    """A refit whose last term is a force that begins at once, or a better one from another moment.
+
+    What rings after the step draws a refit to the nearest moment at which it rings alike.
+
+    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law has no such moment or leaves
+    nothing but white noise; `max_steps`, `tolerance`: of the refits.
+    """
+    effect = fit.candidate.terms[-1].effect
+    names = [p.name for p in effect.parameters]
+    if not isinstance(effect, AbstractForceEffect) or not {"t0", "width"} <= set(names):
+        return fit
+    at = names.index("t0")
+
+    def chosen(fit: Refit, chain: Chain) -> list[np.ndarray]:
+        tried, gains, weights = _scored(bench, fit, chain, at, lambda times: _between(times, len(times) * FINER))
+        best, spacing = tried[np.argmax(gains), at], tried[1, at] - tried[0, at]
+        around = best + spacing * np.linspace(-1, 1, FINEST)
+        tried, gains, weights = _scored(bench, fit, chain, at, lambda _: around)
+        k = int(np.argmax(gains))
+        values = effect.bounded(effect.combine(tried[k], weights[k]))
+        return [values] if np.isfinite(gains[k]) else []
+
+    return from_other_values(bench, fit, chosen, max_steps=max_steps, tolerance=tolerance)
+
+
+def _between(times: np.ndarray, count: int) -> np.ndarray:
+    return np.linspace(times[0], times[-1], count)
+
+
+def _scored(bench: Bench, fit: Refit, chain: Chain, at: int, moments):
+    """Values of the last term at many moments, what each explains, and the weights of its basis."""
+
+    def rows(begun: np.ndarray) -> np.ndarray:
+        times = moments(begun[:, at])
+        values = np.tile(np.array(fit.candidate.terms[-1].values, dtype=float), (len(times), 1))
+        values[:, at] = np.clip(times, 0.0, bench.data[0].samples * bench.data[0].sampling_time)
+        return values
+
+    products, tried = products_of(bench, fit, chain, rows)
+    columns = np.arange(len(products.X)).reshape(len(tried), -1)
+    gains, weights = np.full(len(tried), -np.inf), [None] * len(tried)
+    for k, own in enumerate(columns):
+        dense = products.among(own)
+        if np.all(dense.visible(np.arange(len(own)))) and np.all(products.finite[own]):
+            gains[k], weights[k] = dense.taken(np.arange(len(own)))
+    return tried, gains, weights

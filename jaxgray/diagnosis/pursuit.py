@@ -5,6 +5,7 @@ import numpy as np
 from ..mechanics.effects.base import AbstractForceEffect, Term
 from .bench import Bench, chain_of
 from .extension import Refit, refit, with_states
+from .moments import from_other_moments
 from .residual import Chain
 from .stage import rows_of
 from .thresholds import at_fewer_thresholds, from_other_thresholds
@@ -25,8 +26,9 @@ TOLERABLE = 0.1
 def pursued(bench: Bench, fit: Refit) -> Refit:
     """A first refit carried to its end, whatever is noise at the forces told apart."""
     fit = along_the_valley(bench, with_new_chains(bench, fit))
-    other = from_other_thresholds(bench, fit, max_steps=25, tolerance=ROUGH)
-    fit = fit if other is fit else with_new_chains(bench, other)
+    for begun_again in (from_other_thresholds, from_other_moments):
+        other = begun_again(bench, fit, max_steps=25, tolerance=ROUGH)
+        fit = fit if other is fit else with_new_chains(bench, other)
     fit = at_fewer_thresholds(bench, fit, max_steps=25, tolerance=ROUGH)
     return settled(bench, fit, chain_of(bench, fit))
 

@@ -14,14 +14,11 @@ import numpy as np
 import scipy.special
 
 from ..mechanics.effects.base import AbstractEffect, Term
+from .begun_again import from_other_values, products_of, something_left
 from .bench import Bench, chain_of
 from .extension import Refit, refit
-from .features import features
 from .judgement import at_bound
-from .products import Products
-from .residual import Chain, white_chain
-from .sizes import scales_at
-from .stage import lines_of, sampled_plant, stage_of
+from .residual import Chain
 
 LEVELS = 24
 """Thresholds that are looked at."""
@@ -34,15 +31,6 @@ NEAR = np.array([0.85, 0.93, 0.97, 1.0, 1.03, 1.07, 1.15])
 
 APART = (1.1, 1.3)
 """Sets that are refitted: the best, and the best with a threshold so far from all of that."""
-
-TURNS = 3
-"""Times that they are chosen, every time with M, D, K of the refit before, as long as that pays."""
-
-COLOURED = 0.9
-"""Innovations over the residual, root mean squares, below which something is left to find."""
-
-WORTH = 10.0
-"""Difference in N ln cost from which another refit is the better one."""
 
 BY_CHANCE = 0.01
 """Probability at which chance alone makes further thresholds pay."""
@@ -85,16 +73,13 @@ def from_other_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance
     but white noise; `max_steps`, `tolerance`: of the refits.
     """
     elements = elements_of(fit.candidate.terms[-1].effect)
-    chain = chain_of(bench, fit) if elements else None
-    if chain is None or not _left(chain):
+    if not elements:
         return fit
-    for _ in range(TURNS):
-        tried = _begun_again(bench, fit, elements, max_steps, tolerance)
-        best = min(tried, key=lambda one: one[1].cost, default=(fit, chain))
-        if not best[1].cost < chain.cost - WORTH:
-            break
-        fit, chain = best
-    return fit
+
+    def chosen(fit: Refit, chain: Chain) -> list[np.ndarray]:
+        return _chosen(bench, fit, chain, elements)
+
+    return from_other_values(bench, fit, chosen, max_steps=max_steps, tolerance=tolerance)
 
 
 def at_fewer_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
@@ -108,7 +93,7 @@ def at_fewer_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: 
     elements = elements_of(term.effect)
     chain = chain_of(bench, fit) if elements else None
     # What else is missing could pass for noise that hides a threshold. At a bound an element is out already.
-    if chain is None or _left(chain) or at_bound(fit, len(fit.candidate.terms) - 1) is not None:
+    if chain is None or something_left(chain) or at_bound(fit, len(fit.candidate.terms) - 1) is not None:
         return fit
     options = {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
     whole = refit(bench.simulator, fit.candidate, bench.data, chain, **options)
@@ -125,54 +110,25 @@ def at_fewer_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: 
     return fit
 
 
-def _begun_again(
-    bench: Bench, fit: Refit, elements: list[tuple[int, int]], max_steps: int, tolerance: float
-) -> list[tuple[Refit, Chain]]:
-    """Refits from the sets of thresholds that explain most, each with the chain of what it leaves."""
-    data, term = bench.data[0], fit.candidate.terms[-1]
-    system = sampled_plant(bench.simulator.plant(fit.candidate), data, bench.simulator.setup.dofs)
-    white = white_chain(fit.residual[0], data.kept, system)
-    options = {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
-    found = []
-    for values in _chosen(bench, fit, white, elements):
-        terms = (*fit.candidate.terms[:-1], Term(term.effect, term.place, values))
-        again = refit(bench.simulator, fit.candidate.with_terms(terms), bench.data, white, **options)
-        if again is not None:
-            found.append((again, chain_of(bench, again)))
-    return found
-
-
-def _left(chain: Chain) -> bool:
-    return chain.ratio > 0.0 or bool(np.any(np.diag(chain.lower) < COLOURED * chain.level))
-
-
 def _chosen(
     bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, int]], distinct: int | None = None
 ) -> list[np.ndarray]:
     """Values of the last term for the sets of thresholds that explain most, best first; so many of them `distinct`
     (default all), the last of these shared by the rest of the elements in equal parts."""
-    data, (inputs, outputs) = bench.data[0], bench.names
-    term = fit.candidate.terms[-1]
-    effect, place, count = term.effect, term.place, len(elements)
-    stage = stage_of(bench.simulator, fit.candidate.with_terms(fit.candidate.terms[:-1]), data)
-    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - len(bench.held), bool)])
-    whole = stage_of(bench.simulator, fit.candidate, data)
-    scales = scales_at(stage.plant, whole.motion, data, inputs, outputs, lines_of(stage.e, data))
-    key = "input" if effect.places == "input" else "coordinate", place.name
-    begun = np.array([[values[j] for _, j in elements] for values in effect.shapes(scales[key])])
-    levels = np.geomspace(begun.min() / BEYOND, begun.max() * BEYOND, -(-LEVELS // count) * count)
-    # Beside those that it has as well: where the input takes few levels, minima lie close together.
-    levels = np.append(levels, np.outer(NEAR, [float(term.values[j]) for _, j in elements]))
-    rows = []
-    for part in levels.reshape(-1, count):
-        values = np.array(term.values, dtype=float)
-        for (size, threshold), level in zip(elements, part):
-            values[size], values[threshold] = 1.0, level
-        rows.append(values)
-    made = features(
-        stage.plant, whole.motion, data, (effect,), scales, inputs, outputs, shapes={(effect.id, place.name): rows}
-    )
-    products = Products(chain, stage.e, stage.J[:, :, kept], made.responses, data.kept)
+    term, count = fit.candidate.terms[-1], len(elements)
+
+    def rows(begun: np.ndarray) -> np.ndarray:
+        begun = begun[:, [threshold for _, threshold in elements]]
+        levels = np.geomspace(begun.min() / BEYOND, begun.max() * BEYOND, -(-LEVELS // count) * count)
+        # Beside those that it has as well: where the input takes few levels, minima lie close together.
+        levels = np.append(levels, np.outer(NEAR, [float(term.values[j]) for _, j in elements]))
+        values = np.tile(np.array(term.values, dtype=float), (len(levels) // count, 1))
+        for (size, threshold), level in zip(elements, levels.reshape(-1, count).T):
+            values[:, size], values[:, threshold] = 1.0, level
+        return values
+
+    products, tried = products_of(bench, fit, chain, rows)
+    levels = tried[:, [threshold for _, threshold in elements]].ravel()
     everything = products.among(np.arange(len(levels)))
     seen = np.flatnonzero(everything.visible(np.arange(len(levels))) & products.finite)
     distinct = count if distinct is None else distinct
@@ -191,7 +147,7 @@ def _chosen(
         columns = [*sets[k][:-1], *[sets[k][-1]] * shared]
         for (size, threshold), weight, column in zip(elements, parts, columns):
             values[size], values[threshold] = weight, levels[column]
-        if np.array_equal(effect.bounded(values), values) and (
+        if np.array_equal(term.effect.bounded(values), values) and (
             not best or _distance(values, best[0], elements) > apart[0]
         ):
             apart = apart[1:] if best else apart

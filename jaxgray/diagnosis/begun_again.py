@@ -1,0 +1,98 @@
+"""A law that ended in a local optimum, begun again from other values that explain more of the record.
+
+Where its shape has little slope between one value and the next, a refit ends where it began to look. Given M, D, K
+many values are scored by least squares, and the best are refitted.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..mechanics.effects.base import Term
+from .bench import Bench, chain_of
+from .extension import Refit, refit
+from .features import features
+from .products import Products
+from .residual import Chain, white_chain
+from .sizes import scales_at
+from .stage import lines_of, sampled_plant, stage_of
+
+TURNS = 3
+"""Times that values are chosen, every time with M, D, K of the refit before, as long as that pays."""
+
+COLOURED = 0.9
+"""Innovations over the residual, root mean squares, below which something is left to find."""
+
+WORTH = 10.0
+"""Difference in N ln cost from which another refit is the better one."""
+
+
+def something_left(chain: Chain) -> bool:
+    """Whether a refit leaves more than white noise."""
+    return chain.ratio > 0.0 or bool(np.any(np.diag(chain.lower) < COLOURED * chain.level))
+
+
+def from_other_values(
+    bench: Bench,
+    fit: Refit,
+    chosen: Callable[[Refit, Chain], list[np.ndarray]],
+    *,
+    max_steps: int,
+    tolerance: float,
+) -> Refit:
+    """A refit, or a better one from other values of its last term.
+
+    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where it leaves nothing but white noise;
+    `chosen`: values of the last term to begin from, given a refit and the chain to score them by; `max_steps`,
+    `tolerance`: of the refits.
+    """
+    chain = chain_of(bench, fit)
+    if not something_left(chain):
+        return fit
+    data, options = bench.data[0], {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
+    for _ in range(TURNS):
+        term = fit.candidate.terms[-1]
+        system = sampled_plant(bench.simulator.plant(fit.candidate), data, bench.simulator.setup.dofs)
+        white = white_chain(fit.residual[0], data.kept, system)
+        tried = []
+        for values in chosen(fit, white):
+            terms = (*fit.candidate.terms[:-1], Term(term.effect, term.place, values))
+            again = refit(bench.simulator, fit.candidate.with_terms(terms), bench.data, white, **options)
+            if again is not None:
+                tried.append((again, chain_of(bench, again)))
+        best = min(tried, key=lambda one: one[1].cost, default=(fit, chain))
+        if not best[1].cost < chain.cost - WORTH:
+            break
+        fit, chain = best
+    return fit
+
+
+def products_of(
+    bench: Bench, fit: Refit, chain: Chain, rows: Callable[[np.ndarray], np.ndarray]
+) -> tuple[Products, np.ndarray]:
+    """What other values of a refit's last term would explain without it, M, D, K free to first order.
+
+    **Arguments:** `bench`; `fit`; `chain` to whiten by; `rows`: from the values that the law itself begins with to
+    those to score.
+
+    **Returns:** the products of their responses, one for every row, and the rows.
+    """
+    data, (inputs, outputs) = bench.data[0], bench.names
+    term = fit.candidate.terms[-1]
+    stage = stage_of(bench.simulator, fit.candidate.with_terms(fit.candidate.terms[:-1]), data)
+    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - len(bench.held), bool)])
+    whole = stage_of(bench.simulator, fit.candidate, data)
+    scales = scales_at(stage.plant, whole.motion, data, inputs, outputs, lines_of(stage.e, data))
+    key = "input" if term.effect.places == "input" else "coordinate", term.place.name
+    tried = rows(np.array(term.effect.shapes(scales[key]), dtype=float))
+    made = features(
+        stage.plant,
+        whole.motion,
+        data,
+        (term.effect,),
+        scales,
+        inputs,
+        outputs,
+        shapes={(term.effect.id, term.place.name): list(tried)},
+    )
+    return Products(chain, stage.e, stage.J[:, :, kept], made.responses, data.kept), tried
