@@ -22,7 +22,7 @@ from .force_scores import Library, Scores, score
 from .force_windows import Windows, window_samples
 from .gain import gain_of
 from .judgement import ACCEPTED, ALIKE, SIGNIFICANT, FreeRun
-from .pushes import Push, pushes_of, samples_of
+from .pushes import Push, samples_of
 from .result import Gain, Rejected
 from .screening import GATE
 
@@ -37,9 +37,6 @@ MOST = 0.8
 
 EXPLAINED = 0.1
 """Least share of the remaining power of the force that a finding must explain."""
-
-PASSES = 3
-"""Times that forces beside the inputs are looked for in what is left."""
 
 
 @dataclass(frozen=True)
@@ -126,38 +123,25 @@ class Search:
         return runs[: len(self.records)], runs[len(self.records) :]
 
 
-def search_forces(
+def search_once(
     records: list[Record],
     held: list[Record],
     drive: AbstractDrive,
     catalogue: tuple[AbstractEffect, ...],
     max_effects: int,
-    *,
+    pushes: tuple[Push, ...],
     rng: np.random.Generator,
     progress: AbstractProgress,
 ) -> Search:
-    """Add laws to the force equation until nothing more is found, without what pushes besides the inputs.
+    """Add laws to the force equation until nothing more is found.
 
-    **Arguments:** `records`, `held`: to fit, and to judge; `drive`: forces; `catalogue`; `max_effects`; `rng`: of the
-    resampling; `progress`.
+    **Arguments:** `records`, `held`: to fit, and to judge; `drive`: forces; `catalogue`; `max_effects`; `pushes`:
+    left out; `rng`: of the resampling; `progress`.
 
     **Returns:** a `Search`.
 
     **Raises:** `ComputationError` where the force equation has no solution of positive mass.
     """
-    pushes: tuple[Push, ...] = ()
-    for _ in range(PASSES):
-        search = _search(records, held, drive, catalogue, max_effects, pushes, rng, progress)
-        # The largest hide the others.
-        more = pushes_of(search.fit, search.windows.series, search.equation.input_map)
-        if not more:
-            break
-        pushes += more
-    return search
-
-
-def _search(records, held, drive, catalogue, max_effects, pushes, rng, progress) -> Search:
-    """The same with given pushes left out."""
     progress.stage("setting up the force equation")
     E = np.asarray(drive.input_map)
     cutoff = min(band_of(_filled(r), r.sampling_time) for r in records)

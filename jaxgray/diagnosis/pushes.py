@@ -19,6 +19,9 @@ SIZES = 8.0
 PART = 2.0
 """Down to so many of them what is left belongs to the push."""
 
+GAP = 1.5
+"""Ratio of accelerations from which the larger stand apart from the rest."""
+
 MOST = 0.05
 """Share of the samples above which it is the model that is wrong."""
 
@@ -26,7 +29,7 @@ MOST = 0.05
 @dataclass(frozen=True)
 class Push:
     """A force on a coordinate that is not among the inputs: `record` (position), `first` and `last` sample, largest
-    `force`, and the largest that was `applied`."""
+    `force`, NaN where only the acceleration speaks for it, and the largest that was `applied`."""
 
     record: int
     first: int
@@ -45,16 +48,36 @@ def pushes_of(fit: ForceFit, series: list[Series], input_map: np.ndarray) -> tup
     left = [np.abs(e) for e in equation.residual(fit)]
     usual = 1.4826 * np.median(np.concatenate(left), axis=0)
     applied = float(np.max([np.abs(force).max(initial=0.0) for force in equation.force]))
+    return _brief(left, PART * usual, np.maximum(SIZES * usual, applied), series, left, applied)
+
+
+def jerks_of(series: list[Series]) -> tuple[Push, ...]:
+    """Accelerations apart from all others: what may be pushes that have spoilt the fit in which they would show.
+
+    **Arguments:** as of `pushes_of`.
+    """
+    sizes = [np.abs(one.a[one.rows]) for one in series]
+    ranked = np.sort(np.concatenate(sizes), axis=0)
+    top = ranked[-max(int(MOST * len(ranked)), 1) - 1 :]
+    ratios = top[1:] / np.maximum(top[:-1], 1e-300)
+    k, dofs = np.argmax(ratios, axis=0), np.arange(ranked.shape[1])
+    apart = np.where(ratios[k, dofs] > GAP, np.sqrt(top[k, dofs] * top[k + 1, dofs]), np.inf)
+    return _brief(sizes, apart, apart, series, [np.full_like(x, np.nan) for x in sizes], np.nan)
+
+
+def _brief(sizes, near, far, series: list[Series], forces, applied: float) -> tuple[Push, ...]:
+    """Stretches of rows in which a size stays above `near` and passes `far`, none where they are too much of the
+    records."""
     found = []
-    for record, (e, one) in enumerate(zip(left, series)):
-        for dof in range(equation.dofs):
-            far = (e[:, dof] > SIZES * usual[dof]) & (e[:, dof] > applied)
-            near = np.flatnonzero(e[:, dof] > PART * usual[dof])
-            for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
-                if far[run].any():
+    for record, (size, one) in enumerate(zip(sizes, series)):
+        for dof in range(size.shape[1]):
+            above = np.flatnonzero(size[:, dof] > near[dof])
+            for run in np.split(above, np.flatnonzero(np.diff(above) > 1) + 1):
+                if np.any(size[run, dof] > far[dof]):
                     # It began after the row before, and ended before the next.
-                    first, last = one.rows[[max(run[0] - 1, 0), min(run[-1] + 1, len(e) - 1)]]
-                    found.append(Push(record, int(first), int(last), dof, float(e[run, dof].max()), applied))
+                    first, last = one.rows[[max(run[0] - 1, 0), min(run[-1] + 1, len(size) - 1)]]
+                    force = float(forces[record][run, dof].max())
+                    found.append(Push(record, int(first), int(last), dof, force, applied))
     lasts = sum(push.last - push.first + 1 for push in found)
     return tuple(found) if lasts <= MOST * sum(len(one.q) for one in series) else ()
 

@@ -12,7 +12,7 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress
 from ..records import Record
 from .force_result import force_diagnosis
-from .force_route import search_forces
+from .force_search import search_forces
 from .result import Diagnosis
 from .static_route import static_diagnosis
 

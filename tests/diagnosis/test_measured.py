@@ -12,7 +12,7 @@ from hidden_simulation import System
 
 import jaxgray
 from jaxgray.diagnosis.force_result import force_diagnosis
-from jaxgray.diagnosis.force_route import search_forces
+from jaxgray.diagnosis.force_search import search_forces
 from jaxgray.diagnosis.routes import is_single_sine, is_static, route_of
 from jaxgray.diagnosis.static_route import static_diagnosis
 from jaxgray.mechanics.drives import Force
@@ -104,6 +104,19 @@ def test_pendulum_is_pulled_by_the_sine_of_its_angle_and_rubs_in_its_bearings():
     assert any("From 15." in text and "12 N m acts at angle that is not among" in text for text in diagnosis.warnings)
     assert diagnosis.gain.held_out and diagnosis.gain.ci95[0] > 80
     assert "windows" in repr(diagnosis) and diagnosis_document(diagnosis)["verdict"] == "named"
+
+
+def test_a_hand_among_the_data_of_the_fit_does_not_hide_gravity():
+    # Half of the acceleration's power is the hand's: the mass that fits it is a thirtieth of what is right.
+    record = measured("pendulum_energy", "torque", "angle")
+    laws = tuple(map(by_id, ("sine_stiffness", "coulomb_friction", "asymmetric_friction", "constant_force")))
+    diagnosis, search = by_force(*record.split(0.1), laws, 2)
+    assert effects(diagnosis) == ["sine_stiffness", "coulomb_friction"] and diagnosis.verdict == "named"
+    gravity = next(f for f in diagnosis.findings if f.effect == "sine_stiffness")
+    length = gravity.parameters["length"]
+    assert length.value == pytest.approx(1.0, abs=0.01)
+    (push,) = search.pushes
+    assert push.force > 5 * push.applied and search.records[push.record].time[push.first] > 15
 
 
 def test_pendulum_on_its_way_up_is_pulled_by_the_sine_of_its_angle():
