@@ -171,6 +171,9 @@ def _missed(diagnosis: "Diagnosis", subject: str) -> str:
             f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
             "nothing is missing that this record could show."
         )
+    if diagnosis.verdict == "unexplained" and excess < ONLY_NOISE:
+        # The floor is what the model itself leaves on the data of the fit.
+        return f"{subject} leaves more than noise{where}."
     return f"{subject} misses {times(excess)} the noise floor{where}."
 
 

@@ -114,6 +114,10 @@ def test_rivals_between_two_coordinates_keep_both():
             MISSED + "No effect of the catalogue explains it.",
         ),
         (
+            nothing("unexplained", 1.01),
+            "The linear model leaves more than noise at y1. No effect of the catalogue explains it.",
+        ),
+        (
             equivalent(),
             MISSED + "Cause: constant force at y1, f0 = 0.10 ± 0.01 N, or sensor offset at y1, b = -0.0010 ± 0.0001 m. "
             "This record cannot tell them apart; an experiment that can is proposed. Adding it cuts the held-out error "
@@ -149,7 +153,17 @@ def test_rivals_between_two_coordinates_keep_both():
             "that this record could show. Seen in the record: outliers at y2.",
         ),
     ],
-    ids=["noise", "unexplained", "unnamed finding", "equivalent", "partly", "own model", "two in sample", "record"],
+    ids=[
+        "noise",
+        "unexplained",
+        "unnamed finding",
+        "own floor",
+        "equivalent",
+        "partly",
+        "own model",
+        "two in sample",
+        "record",
+    ],
 )
 def test_sentences(made, sentence):
     assert made.sentence == sentence
