@@ -86,21 +86,45 @@ def _rounds(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
                 return
         if turn == most:
             return
-        if closer is None:
-            closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names, screening.chain)
-            if not closer.shows:
-                closer = look_closer(growth.stage, bench.data[0], bench.catalogue, bench.names)
+        closer = _closer(bench, growth.stage, screening) if closer is None else closer
+        before = len(growth.rejected)
         ranked = _refitted(bench, growth, screening, closer)
-        if not _accepted(bench, growth, ranked) and growth.ruled_out == told_from:
-            refitted = frozenset(attempt.name for attempt in ranked)
-            if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted)):
+        if _accepted(bench, growth, ranked) or growth.ruled_out != told_from:
+            continue
+        if _given_up(growth.rejected[before:], ranked):
+            # Far behind laws that do not hold, and looked for under what these leave.
+            others = _without(bench, growth, searched, screening, ranked)
+            second = [] if others is None else _refitted(bench, growth, *others)
+            if _accepted(bench, growth, second):
                 continue
-            if _accepted(bench, growth, by_free_runs(bench, growth, ranked)[:1], least=HALVED):
-                continue
-            refuted = screening.fires and _refuted(bench, growth, ranked, searched)
-            growth.unexplained = screening.fires and not refuted
-            if refuted or turn >= most - 1 or not _lent(bench, growth, ranked):
-                return
+            ranked = compared(bench, growth.stage, ranked + second) if second else ranked
+        refitted = frozenset(attempt.name for attempt in ranked)
+        if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted)):
+            continue
+        if _accepted(bench, growth, by_free_runs(bench, growth, ranked)[:1], least=HALVED):
+            continue
+        refuted = screening.fires and _refuted(bench, growth, ranked, searched)
+        growth.unexplained = screening.fires and not refuted
+        if refuted or turn >= most - 1 or not _lent(bench, growth, ranked):
+            return
+
+
+def _closer(bench: Bench, stage: Stage, screening: Screening) -> Screening:
+    """The ranking under the chain of the gate, or under its own where that shows nothing."""
+    closer = look_closer(stage, bench.data[0], bench.catalogue, bench.names, screening.chain)
+    return closer if closer.shows else look_closer(stage, bench.data[0], bench.catalogue, bench.names)
+
+
+def _without(
+    bench: Bench, growth: Growth, searched, screening: Screening, ranked: list[Attempt]
+) -> tuple[Screening, Screening] | None:
+    """The gate and the ranking without laws that were refitted and do not hold; None where nothing else is seen."""
+    failed = {attempt.name[0] for attempt in ranked}
+    shapes = (score.shape for score in screening.scores)
+    gone = frozenset((s.effect.id, s.place.name) for s in shapes if s.effect.id in failed)
+    stage = dataclasses.replace(growth.stage, ruled_out=growth.ruled_out | gone)
+    screening = look(stage, bench.data[0], searched, bench.names, rng=bench.rng)
+    return (screening, _closer(bench, stage, screening)) if screening.fires else None
 
 
 def _strong(screening: Screening) -> bool:
@@ -145,6 +169,12 @@ def _refuted(bench: Bench, growth: Growth, ranked: list[Attempt], searched: tupl
     return True
 
 
+def _given_up(rejected: list[Rejected], ranked: list[Attempt]) -> set[tuple[str, str]]:
+    """Laws that were not carried to their end, being far behind another."""
+    behind = {(one.effect, one.location) for one in rejected if one.why.startswith(WEAKER)}
+    return behind - {attempt.name for attempt in ranked}
+
+
 def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screening) -> list[Attempt]:
     """The most promising candidates and what is easily taken for the best of them, refitted, best first."""
     stage, before = growth.stage, len(growth.rejected)
@@ -157,8 +187,7 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
         ids = standing_for(ranked[0].name[0]) - {effect for effect, _ in tried}
         others = unheard(ids, screening, closer, tried)
         late = [instead_of(bench, stage, ranked[0], scores, growth.rejected) for scores in others]
-        new = growth.rejected[before:]
-        behind = {(one.effect, one.location) for one in new if one.why.startswith(WEAKER)} - set(attempts)
+        behind = _given_up(growth.rejected[before:], list(attempts.values()))
         late += left_behind(bench, stage, ranked[0], behind, (closer, screening), growth.rejected)
         if any(late):
             ranked = compared(bench, stage, ranked + [attempt for attempt in late if attempt is not None])
