@@ -39,16 +39,15 @@ def from_other_values(
     *,
     max_steps: int,
     tolerance: float,
+    worth: float = WORTH,
 ) -> Refit:
     """A refit, or a better one from other values of its last term.
 
-    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where it leaves nothing but white noise;
-    `chosen`: values of the last term to begin from, given a refit and the chain to score them by; `max_steps`,
-    `tolerance`: of the refits.
+    **Arguments:** `bench`; `fit`: carried to its end; `chosen`: values of the last term to begin from, given a refit
+    and the chain to score them by; `max_steps`, `tolerance`: of the refits; `worth`: difference in N ln cost from which
+    another one is better.
     """
     chain = chain_of(bench, fit)
-    if not something_left(chain):
-        return fit
     data, options = bench.data[0], {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
     for _ in range(TURNS):
         term = fit.candidate.terms[-1]
@@ -61,7 +60,7 @@ def from_other_values(
             if again is not None:
                 tried.append((again, chain_of(bench, again)))
         best = min(tried, key=lambda one: one[1].cost, default=(fit, chain))
-        if not best[1].cost < chain.cost - WORTH:
+        if not best[1].cost < chain.cost - worth:
             break
         fit, chain = best
     return fit

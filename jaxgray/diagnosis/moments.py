@@ -13,6 +13,9 @@ from .residual import Chain
 FINER = 8
 """Moments looked at for every one that a law is begun with."""
 
+SURE = 1.0
+"""Difference in N ln cost from which another moment is the better one: each is refitted to its end."""
+
 FINEST = 24
 """And again between the best of these and its neighbours."""
 
@@ -73,8 +76,8 @@ def from_other_moments(bench: Bench, fit: Refit, *, max_steps: int, tolerance: f
 
     What rings after the step draws a refit to the nearest moment at which it rings alike.
 
-    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law has no such moment or leaves
-    nothing but white noise; `max_steps`, `tolerance`: of the refits.
+    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law has no such moment; `max_steps`,
+    `tolerance`: of the refits.
     """
     effect = fit.candidate.terms[-1].effect
     names = [p.name for p in effect.parameters]
@@ -91,7 +94,7 @@ def from_other_moments(bench: Bench, fit: Refit, *, max_steps: int, tolerance: f
         values = effect.bounded(effect.combine(tried[k], weights[k]))
         return [values] if np.isfinite(gains[k]) else []
 
-    return from_other_values(bench, fit, chosen, max_steps=max_steps, tolerance=tolerance)
+    return from_other_values(bench, fit, chosen, max_steps=max_steps, tolerance=tolerance, worth=SURE)
 
 
 def _between(times: np.ndarray, count: int) -> np.ndarray:

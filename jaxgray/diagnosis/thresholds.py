@@ -73,7 +73,7 @@ def from_other_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance
     but white noise; `max_steps`, `tolerance`: of the refits.
     """
     elements = elements_of(fit.candidate.terms[-1].effect)
-    if not elements:
+    if not elements or not something_left(chain_of(bench, fit)):
         return fit
 
     def chosen(fit: Refit, chain: Chain) -> list[np.ndarray]:

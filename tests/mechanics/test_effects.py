@@ -362,6 +362,38 @@ def test_actuator_lag_keeps_mean_and_slope_of_every_sample(hold):
             x = a + b * (1.0 - lag) + (x - a + b * lag) * last
 
 
+@pytest.mark.parametrize(
+    ("effect_id", "values"),
+    [
+        ("input_saturation", (0.4,)),
+        ("input_dead_zone", (0.4,)),
+        ("input_quadratic", (0.7,)),
+        ("play_hysteresis", (0.3, 0.5, -0.2, 0.05, 0.3, 1.1)),
+    ],
+)
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_bent_inputs_keep_mean_and_slope_of_every_sample(effect_id, values, hold):
+    u, after, apply, s = held(effect_id, hold, 60)
+    start, end = np.asarray(apply(jnp.array(values)))
+    z = np.zeros(3)
+    for k in range(60):
+        x = u[k] + (after[k] - u[k]) * s
+        line = {
+            "input_saturation": lambda x=x: np.clip(x, -values[0], values[0]),
+            "input_dead_zone": lambda x=x: x - np.clip(x, -values[0], values[0]),
+            "input_quadratic": lambda x=x: x + values[0] * x**2,
+            "play_hysteresis": lambda x=x: x,
+        }[effect_id]()
+        if effect_id == "play_hysteresis":
+            for j in range(3):
+                w, r = values[j], values[3 + j]
+                z[j] = np.clip(z[j], x[0] - r, x[0] + r)
+                moved = z[j] + (x - z[j]) - np.clip(x - z[j], -r, r)
+                line, z[j] = line + w * moved, np.clip(moved[-1], after[k] - r, after[k] + r)
+        assert 0.5 * (start[k] + end[k]) == pytest.approx(line.mean(), abs=1e-3)
+        assert end[k] - start[k] == pytest.approx(12.0 * np.mean((s - 0.5) * line), abs=2e-3)
+
+
 def test_creep_adds_the_slow_part():
     u = jnp.asarray(U)
     both = jit(lambda effect, p: effect.apply(p, u, u, TIME), static_argnums=0)

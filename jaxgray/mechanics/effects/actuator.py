@@ -10,7 +10,6 @@ import numpy as np
 
 from ...numerics.lifting import respond
 from .base import AbstractForceEffect, AbstractInputEffect, Parameter
-from .stiffness import beyond
 
 SAMPLES = (0.5, 2.0, 8.0)
 """Typical delays and lags, in samples."""
@@ -36,6 +35,28 @@ def late(start, end, steps):
     after = a2 * g**2 / 2.0 + d2 * g**3 / 3.0 + (f - 0.5) * (a2 * g + d2 * g**2 / 2.0)
     slope = 12.0 * (before + after)
     return mean - slope / 2.0, mean + slope / 2.0
+
+
+def above(start, end):
+    """max(x, 0) of an x that is straight over each sample: the straight line of the same mean and the same
+    least-squares slope."""
+    top, low = jnp.maximum(start, end), jnp.minimum(start, end)
+    crossing = (low < 0) & (top > 0)
+    # A triangle over the part of the sample in which x is above 0.
+    part = jnp.where(crossing, top / jnp.where(crossing, top - low, 1.0), 1.0)
+    mean = top * part / 2.0
+    near, far = mean * (4.0 - 2.0 * part), mean * (2.0 * part - 2.0)
+    rising = end > start
+    return (
+        jnp.where(crossing, jnp.where(rising, far, near), jnp.maximum(start, 0.0)),
+        jnp.where(crossing, jnp.where(rising, near, far), jnp.maximum(end, 0.0)),
+    )
+
+
+def outside(start, end, limit):
+    """x − clip(x, ±limit), as in `above`."""
+    over, under = above(start - limit, end - limit), above(-start - limit, -end - limit)
+    return over[0] - under[0], over[1] - under[1]
 
 
 def decay(lag):
@@ -168,7 +189,8 @@ class InputSaturation(AbstractInputEffect):
         return self.bounded(p)
 
     def apply(self, p, start, end, time):
-        return jnp.clip(start, -p[0], p[0]), jnp.clip(end, -p[0], p[0])
+        beyond = outside(start, end, p[0])
+        return start - beyond[0], end - beyond[1]
 
 
 class InputDeadZone(AbstractInputEffect):
@@ -187,7 +209,7 @@ class InputDeadZone(AbstractInputEffect):
         return [np.array([part * scales.u]) for part in (0.05, 0.3)]
 
     def apply(self, p, start, end, time):
-        return beyond(start, p[0]), beyond(end, p[0])
+        return outside(start, end, p[0])
 
 
 class InputQuadratic(AbstractInputEffect):
@@ -206,7 +228,9 @@ class InputQuadratic(AbstractInputEffect):
         return [np.array([1.0])]
 
     def apply(self, p, start, end, time):
-        return start + p[0] * start**2, end + p[0] * end**2
+        # Between them a parabola: its mean and slope.
+        bend = (end - start) ** 2 / 6.0
+        return start + p[0] * (start**2 - bend), end + p[0] * (end**2 - bend)
 
 
 class PlayHysteresis(AbstractInputEffect):
@@ -231,7 +255,9 @@ class PlayHysteresis(AbstractInputEffect):
         def play(z, ends):
             first = jnp.clip(z, ends[0] - r, ends[0] + r)
             last = jnp.clip(first, ends[1] - r, ends[1] + r)
-            return last, (first, last)
+            # It stays until the command has come r away, and follows from there.
+            moved = outside(ends[0] - first, ends[1] - first, r)
+            return last, (first + moved[0], first + moved[1])
 
         _, (first, last) = jax.lax.scan(play, jnp.zeros_like(r), jnp.stack([start, end], axis=1))
         return start + first @ w, end + last @ w
