@@ -104,10 +104,24 @@ def at_fewer_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: 
             few = refit(bench.simulator, fit.candidate.with_terms(terms), bench.data, chain, **options)
             if few is None or not few.count * np.log(few.cost / whole.cost) < most:
                 continue
-            # What rounding parts and the record then draws further apart was not one.
-            if one_threshold([float(few.candidate.terms[-1].values[j]) for _, j in elements[distinct - 1 :]]):
+            few = _at_one(bench, few, chain, elements[distinct - 1 :])
+            if few is not None and few.count * np.log(few.cost / whole.cost) < most:
                 return few
     return fit
+
+
+def _at_one(bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, int]]) -> Refit | None:
+    """A refit with some thresholds that noise drew apart at their mean again, or as it is where they are the same; None
+    where that cannot be simulated."""
+    term = fit.candidate.terms[-1]
+    values = np.array(term.values, dtype=float)
+    sizes, levels = (list(x) for x in zip(*elements))
+    if one_threshold(values[levels]):
+        return fit
+    values[levels], values[sizes] = np.mean(values[levels]), np.mean(values[sizes])
+    candidate = fit.candidate.with_terms((*fit.candidate.terms[:-1], Term(term.effect, term.place, values)))
+    # Short enough for them to stay together.
+    return refit(bench.simulator, candidate, bench.data, chain, held=bench.held, max_steps=1, shapes_after=1)
 
 
 def _chosen(

@@ -90,6 +90,17 @@ def test_play_is_believed_where_its_elements_do_for_one_another():
     check_thresholds(diagnosis, parameters["w"], parameters["r"])
 
 
+def test_a_threshold_too_many_does_not_pass_for_a_gain():
+    # One below the smallest step is no play but a share of the command: nothing tells it from the scale of M, D, K.
+    rng = np.random.default_rng([97001, 0, zlib.crc32(b"play_hysteresis"), 4])
+    case = hidden.random_case(rng, "play_hysteresis", excess=(1.5, 4.0), samples=4000, dofs=(1, 2, 3))
+    diagnosis = diagnosed(case, only=["play_hysteresis", "constant_force"])
+    parameters = case.effects[0].parameters
+    check_thresholds(diagnosis, parameters["w"], parameters["r"])
+    mass, error = diagnosis.extended.model.mass[0, 0], diagnosis.extended.standard_errors["mass"][0, 0]
+    assert abs(mass - case.system.M[0, 0]) < 5 * error < 0.1 * mass
+
+
 def test_only_sums_of_like_elements_are_begun_from_other_thresholds():
     assert {effect.id for effect in CATALOGUE if elements_of(effect)} == {"play_hysteresis", "maxwell_slip_hysteresis"}
 
