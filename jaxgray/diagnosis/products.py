@@ -33,7 +33,11 @@ class Dense:
 
     def taken(self, columns) -> tuple[float, Float[np.ndarray, " columns"]]:
         """Share of the residual's power that some responses explain, and their weights."""
-        weights = pseudo_inverse(self.matrix[np.ix_(columns, columns)], 1e-10) @ self.target[columns]
+        if len(columns) == 1:
+            power = self.matrix[columns[0], columns[0]]
+            weights = self.target[columns] / power if power > 0 else np.zeros(1)
+        else:
+            weights = pseudo_inverse(self.matrix[np.ix_(columns, columns)], 1e-10) @ self.target[columns]
         return min(max(float(self.target[columns] @ weights) / self.power, 0.0), 1 - 1e-12), weights
 
     def without(self, columns) -> "Dense":

@@ -8,6 +8,7 @@ simulation at four points:
 """
 
 import abc
+import functools
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -135,7 +136,7 @@ class AbstractEffect(eqx.Module):
     def combine(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """The parameter vector that a sum of the `basis` with these weights stands for, within the bounds."""
         result = np.array(p, dtype=float)
-        amplitudes = [k for k, parameter in enumerate(self.parameters) if parameter.amplitude]
+        amplitudes = _limits(type(self))[2]
         result[amplitudes] = result[amplitudes] * np.asarray(weights)
         return self.bounded(result)
 
@@ -156,9 +157,19 @@ class AbstractEffect(eqx.Module):
 
     def bounded(self, p: np.ndarray) -> np.ndarray:
         """The parameter vector moved inside its bounds."""
-        lower = np.array([parameter.lower for parameter in self.parameters])
-        upper = np.array([parameter.upper for parameter in self.parameters])
+        lower, upper, _ = _limits(type(self))
         return np.clip(np.asarray(p, dtype=float), lower, upper)
+
+
+@functools.cache
+def _limits(law: type[AbstractEffect]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower and upper bounds of the parameters of a law, and the positions of its amplitudes."""
+    sizes = [k for k, parameter in enumerate(law.parameters) if parameter.amplitude]
+    return (
+        np.array([parameter.lower for parameter in law.parameters], dtype=float),
+        np.array([parameter.upper for parameter in law.parameters], dtype=float),
+        np.array(sizes, dtype=int),
+    )
 
 
 class AbstractForceEffect(AbstractEffect):
@@ -253,21 +264,26 @@ class Term(eqx.Module):
 
 def places_of(effect: AbstractEffect, input_names, output_names) -> tuple[Place, ...]:
     """Every place where an effect can act in a system with these channels, by DESIGN's names."""
+    return _places(effect.places, tuple(input_names), tuple(output_names))
+
+
+@functools.lru_cache(maxsize=64)
+def _places(kind: str, input_names: tuple[str, ...], output_names: tuple[str, ...]) -> tuple[Place, ...]:
     pairs = [Place(f"{a}-{b}", i, j) for i, a in enumerate(output_names) for j, b in enumerate(output_names) if i < j]
     single = [Place(name, k) for k, name in enumerate(output_names)]
-    if effect.places == "coordinate":
+    if kind == "coordinate":
         return tuple(single)
-    if effect.places == "spring":
+    if kind == "spring":
         return tuple(single + pairs)
-    if effect.places == "pair":
+    if kind == "pair":
         return tuple(pairs)
-    if effect.places == "input":
+    if kind == "input":
         return tuple(Place(name, k) for k, name in enumerate(input_names))
-    if effect.places == "output":
+    if kind == "output":
         return tuple(single)
-    if effect.places == "record":
+    if kind == "record":
         return (Place("record", -1),)
-    sources = list(output_names) + list(input_names)
+    sources = [*output_names, *input_names]
     return tuple(
         Place(f"{source}->{name}", k, s)
         for k, name in enumerate(output_names)
