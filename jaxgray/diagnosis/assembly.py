@@ -14,6 +14,7 @@ from .competitor import FlexibleForce
 from .extension import Layout, Refit
 from .grown import Accepted, Growth
 from .judgement import FreeRun
+from .moments import moment_errors
 from .problem import Candidate, Setup
 from .residual import white_part
 from .result import (
@@ -108,13 +109,12 @@ def term_errors(fit: Refit, setup: Setup, index: int) -> dict[int, float]:
 def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, ...]:
     """Everything that was accepted, in order, with the class of each."""
     found = []
-    setup = bench.simulator.setup
     for k, accepted in enumerate(growth.accepted):
-        members = [_member(accepted.attempt.fit, growth.fit, k, setup, record, 0.0)]
+        members = [_member(bench, growth.fit or accepted.attempt.fit, k, record, 0.0)]
         for rival in accepted.rivals:
             difference = accepted.attempt.criterion - rival.criterion
             at = [(t.effect.id, t.place.name) for t in rival.fit.candidate.terms].index(rival.name)
-            members.append(_member(rival.fit, None, at, setup, record, difference))
+            members.append(_member(bench, rival.fit, at, record, difference))
         found.append(
             Finding(
                 *accepted.attempt.name,
@@ -129,10 +129,9 @@ def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, 
     return tuple(found)
 
 
-def _member(fit: Refit, final: Refit | None, index: int, setup: Setup, record: Record, difference: float) -> Member:
-    fit = fit if final is None else final
-    term = fit.candidate.terms[index]
-    parameters = estimates_of(term, term_errors(fit, setup, index), record)
+def _member(bench: Bench, fit: Refit, index: int, record: Record, difference: float) -> Member:
+    term, errors = fit.candidate.terms[index], term_errors(fit, bench.simulator.setup, index)
+    parameters = estimates_of(term, errors | moment_errors(bench, fit, index, errors), record)
     return Member(term.effect.id, term.place.name, float(difference), parameters)
 
 

@@ -12,6 +12,7 @@ from ..mechanics.effects.base import Term
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .features import features
+from .problem import Candidate
 from .products import Products
 from .residual import Chain, white_chain
 from .sizes import scales_at
@@ -67,20 +68,20 @@ def from_other_values(
 
 
 def products_of(
-    bench: Bench, fit: Refit, chain: Chain, rows: Callable[[np.ndarray], np.ndarray]
+    bench: Bench, candidate: Candidate, chain: Chain, rows: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[Products, np.ndarray]:
-    """What other values of a refit's last term would explain without it, M, D, K free to first order.
+    """What other values of a candidate's last term would explain without it, M, D, K free to first order.
 
-    **Arguments:** `bench`; `fit`; `chain` to whiten by; `rows`: from the values that the law itself begins with to
-    those to score.
+    **Arguments:** `bench`; `candidate`; `chain` to whiten by; `rows`: from the values that the law itself begins with
+    to those to score.
 
     **Returns:** the products of their responses, one for every row, and the rows.
     """
     data, (inputs, outputs) = bench.data[0], bench.names
-    term = fit.candidate.terms[-1]
-    stage = stage_of(bench.simulator, fit.candidate.with_terms(fit.candidate.terms[:-1]), data)
+    term = candidate.terms[-1]
+    stage = stage_of(bench.simulator, candidate.with_terms(candidate.terms[:-1]), data)
     kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - len(bench.held), bool)])
-    whole = stage_of(bench.simulator, fit.candidate, data)
+    whole = stage_of(bench.simulator, candidate, data)
     scales = scales_at(stage.plant, whole.motion, data, inputs, outputs, lines_of(stage.e, data))
     key = "input" if term.effect.places == "input" else "coordinate", term.place.name
     tried = rows(np.array(term.effect.shapes(scales[key]), dtype=float))

@@ -141,7 +141,7 @@ def _chosen(
             values[:, size], values[:, threshold] = 1.0, level
         return values
 
-    products, tried = products_of(bench, fit, chain, rows)
+    products, tried = products_of(bench, fit.candidate, chain, rows)
     levels = tried[:, [threshold for _, threshold in elements]].ravel()
     everything = products.among(np.arange(len(levels)))
     seen = np.flatnonzero(everything.visible(np.arange(len(levels))) & products.finite)

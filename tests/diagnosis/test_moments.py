@@ -4,16 +4,21 @@ import zlib
 
 import hidden
 import numpy as np
+import pytest
 from found import diagnosed, model_findings
 
 
-def test_a_sudden_force_is_found_at_its_moment():
-    rng = np.random.default_rng([96001, 0, zlib.crc32(b"force_step"), 0])
-    case = hidden.random_case(rng, "force_step", excess=(1.5, 4.0), samples=4000, dofs=(1, 2, 3))
-    diagnosis = diagnosed(case, only=["force_step", "constant_force"])
+@pytest.mark.parametrize(
+    ("effect", "size", "seed", "number"), [("force_step", "F", 96001, 0), ("stiffness_step", "dk", 97001, 2)]
+)
+def test_a_sudden_change_is_found_at_its_moment(effect, size, seed, number):
+    # Of the second the likelihood has several hills, each far narrower than all of them.
+    rng = np.random.default_rng([seed, 0, zlib.crc32(effect.encode()), number])
+    case = hidden.random_case(rng, effect, excess=(1.5, 4.0), samples=4000, dofs=(1, 2, 3))
+    diagnosis = diagnosed(case, only=[effect, "constant_force"])
     (found,) = model_findings(diagnosis)
-    assert (found.effect, found.location) == ("force_step", case.effects[0].place), str(diagnosis)
-    for name in ("t0", "F"):
-        number = found.parameters[name]
-        assert abs(number.value - case.effects[0].parameters[name]) < 5 * number.standard_error, str(diagnosis)
-        assert number.standard_error < 0.1 * abs(number.value), str(diagnosis)
+    assert (found.effect, found.location) == (effect, case.effects[0].place), str(diagnosis)
+    for name in ("t0", size):
+        value = found.parameters[name]
+        assert abs(value.value - case.effects[0].parameters[name]) < 5 * value.standard_error, str(diagnosis)
+        assert value.standard_error < 0.1 * abs(value.value), str(diagnosis)
