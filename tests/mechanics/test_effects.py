@@ -1,5 +1,6 @@
 """Every effect of the catalogue: its table, its law, and what it must reproduce of physics."""
 
+import dataclasses
 import functools
 
 import jax
@@ -291,6 +292,13 @@ def test_maxwell_slip_is_the_sum_of_stops():
                 z = min(max(z + step / 10, -slip), slip)
             force[k + 1] += stiffness * z
     np.testing.assert_allclose(driven(by_id("maxwell_slip_hysteresis"), [2.0, 1.0, 0.3, 0.9], q), force, atol=1e-12)
+
+
+@pytest.mark.parametrize("effect_id", ["force_step", "stiffness_step", "mass_step"])
+def test_a_sudden_change_at_an_end_of_the_record_is_unresolved(effect_id):
+    scales = dataclasses.replace(SCALES, times=(1.0, 5.0, 9.0))
+    for moment, inside in ((0.2, False), (1.0, True), (6.3, True), (9.6, False)):
+        assert (by_id(effect_id).unresolved(np.array([1.0, moment, TIME]), scales) is None) == inside
 
 
 def test_a_hysteresis_shorter_than_a_sample_is_said_to_be_unresolved():

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .base import AbstractForceEffect, Parameter
-from .structure import step_at
+from .structure import at_an_end, step_at
 
 
 class PeriodicDisturbance(AbstractForceEffect):
@@ -57,6 +57,9 @@ class ForceStep(AbstractForceEffect):
 
     def shapes(self, scales):
         return [np.array([1.0, t0, scales.sampling_time]) for t0 in scales.times]
+
+    def unresolved(self, p, scales):
+        return at_an_end(float(p[1]), scales.times)
 
     def force(self, p, here, z):
         return -p[0] * step_at(here.t, p[1], p[2])

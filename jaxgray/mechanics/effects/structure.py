@@ -6,6 +6,13 @@ import numpy as np
 from .base import AbstractForceEffect, AbstractMatrixEffect, Parameter
 
 
+def at_an_end(t0: float, times: tuple[float, ...]) -> str | None:
+    """Why a change at once means nothing outside of the times that were tried, None inside of them."""
+    if not times or times[0] <= t0 <= times[-1]:
+        return None
+    return "so near to an end of the record it stands for anything that happens there"
+
+
 def step_at(t, t0, width):
     """0 before `t0`, 1 after, straight over `width` around it: the sampled step is differentiable by t0."""
     return jnp.clip((t - t0) / jnp.maximum(width, 1e-100) + 0.5, 0.0, 1.0)
@@ -88,6 +95,9 @@ class StiffnessStep(AbstractForceEffect):
     def shapes(self, scales):
         return [np.array([1.0, t0, scales.sampling_time]) for t0 in scales.times]
 
+    def unresolved(self, p, scales):
+        return at_an_end(float(p[1]), scales.times)
+
     def force(self, p, here, z):
         return p[0] * step_at(here.t, p[1], p[2]) * here.q
 
@@ -114,6 +124,9 @@ class MassStep(AbstractForceEffect):
     def shapes(self, scales):
         typical = 0.02 / max(scales.compliance, 1e-100)
         return [np.array([typical, t0, scales.sampling_time]) for t0 in scales.times]
+
+    def unresolved(self, p, scales):
+        return at_an_end(float(p[1]), scales.times)
 
     def force(self, p, here, z):
         added = p[0] * step_at(here.t, p[1], p[2])
