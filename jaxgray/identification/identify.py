@@ -27,6 +27,9 @@ from .sweep import default_time_constants, score, usable_block_rows
 
 MOST_STARTS = 3
 
+SLIGHT = 1e-4
+"""Ratio of the least to the largest eigenvalue of the scaled mass from which it counts as a mass."""
+
 NEAR = 0.05
 """Share of every output's power left by a refinement below which no other start is tried."""
 
@@ -254,8 +257,9 @@ def _best_refined(
 ):
     """The start whose refinement simulates best, and that refinement.
 
-    A start that serves is refined alone, and the others too where that does not settle. From poor ones a refinement
-    may end in another minimum, so that the best few are refined, until one end is near the record.
+    A start that serves is refined alone, and the others too where that does not settle or ends at a mass that is next
+    to singular. From poor ones a refinement may end in another minimum, so that the best few are refined, until one end
+    is near the record.
     """
     best = failure = None
     left_over = list(starts)
@@ -269,7 +273,8 @@ def _best_refined(
         except ComputationError as error:
             failure = failure or error
             continue
-        settled = end.result == RESULTS.successful
+        masses = np.linalg.eigvalsh(end.mass)
+        settled = end.result == RESULTS.successful and masses[0] > SLIGHT * masses[-1]
         if k == 0 and len(starts) == 1:
             if settled:
                 return start, end

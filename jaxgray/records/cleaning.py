@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from .defects import clipped, spikes, stuck
 from .record import Record
 
-MOST = 0.6
+MOST = 0.85
 """Share of a channel above which nothing is taken away: then the defect is the signal."""
 
 BESIDE = 2

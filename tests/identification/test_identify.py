@@ -1,5 +1,9 @@
 """The whole identification on records of one length, so that one compilation serves most tests."""
 
+import dataclasses
+import zlib
+
+import hidden
 import independent as data
 import numpy as np
 import pytest
@@ -342,6 +346,15 @@ def test_a_drift_is_not_taken_for_a_slow_mode():
     drift = 3.2 * y[:, 1].std() * (share + 0.8 * share**2)
     y = y + NOISE * rng.standard_normal(y.shape) + np.stack([np.zeros(SAMPLES), drift], axis=1)
     assert max(errors_of(identify(Record(u, y, H)))) < 0.05
+
+
+def test_lost_samples_do_not_lead_to_a_singular_mass():
+    """The refinement from the subspace start settles at masses of 1e6; that is no end."""
+    rng = np.random.default_rng([97003, 3, zlib.crc32(b"dropped_samples"), 2])
+    case = hidden.raw_case(rng, "dropped_samples", samples=SAMPLES, dofs=(1, 2, 3))
+    found = identify(Record(case.u, case.y, case.sampling_time, hold=case.hold))
+    errors = data.relative_errors((found.mass, found.damping, found.stiffness), dataclasses.astuple(case.system)[:3])
+    assert max(errors) < 0.2
 
 
 def test_quasi_static_record_says_that_inertia_is_not_visible():

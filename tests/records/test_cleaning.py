@@ -35,6 +35,13 @@ def test_outliers_and_cut_off_samples_are_missing():
     np.testing.assert_array_equal(cleaned.y[kept], y[kept])
 
 
-def test_a_channel_that_is_mostly_cut_off_is_left_alone():
+def test_a_channel_that_is_cut_off_in_most_of_its_samples_keeps_the_rest():
     y = np.minimum(Y, -0.4)
+    cleaned = without_defects(record(y))
+    assert np.all(cleaned.missing[Y > -0.4]) and np.all(cleaned.missing.mean(axis=0) < 0.75)
+    np.testing.assert_array_equal(cleaned.y[~cleaned.missing], Y[~cleaned.missing])
+
+
+def test_a_channel_that_is_hardly_anything_else_is_left_alone():
+    y = np.minimum(Y, np.quantile(Y, 0.1, axis=0))
     assert without_defects(record(y)).missing.sum() == 0
