@@ -108,6 +108,10 @@ def _common_step(gaps: np.ndarray) -> float | None:
     return None
 
 
+LIKEWISE = 3
+"""Samples at the opposite of a limit that make it a limit as well."""
+
+
 def clipped(y: Float[np.ndarray, " samples"], upper: bool = True) -> Int[np.ndarray, " clipped"]:
     """Samples cut off at the largest value, or at the smallest.
 
@@ -118,6 +122,18 @@ def clipped(y: Float[np.ndarray, " samples"], upper: bool = True) -> Int[np.ndar
 
     **Returns:** their places; empty where nothing is cut off.
     """
+    at = _cut_off(y, upper)
+    if at.size:
+        return at
+    x = y if upper else -y
+    top = np.nanmax(x, initial=-np.inf)
+    # A range that ends on one side ends as far on the other.
+    mirrored = abs(top + np.nanmin(x, initial=np.inf)) <= 1e-9 * abs(top) and np.sum(x == top) >= LIKEWISE
+    return np.flatnonzero(x == top) if mirrored and _cut_off(y, not upper).size else at
+
+
+def _cut_off(y: Float[np.ndarray, " samples"], upper: bool) -> Int[np.ndarray, " clipped"]:
+    """The same by what one side shows alone."""
     nothing = np.empty(0, dtype=int)
     x = y if upper else -y
     there = x[~np.isnan(x)]

@@ -352,6 +352,18 @@ def test_rest_and_rounded_peaks_are_neither_clipped_nor_stuck(y):
     assert stuck(y) == []
 
 
+@pytest.mark.parametrize("top", [1.0, 0.97], ids=["as far", "not as far"])
+def test_a_limit_on_one_side_is_looked_for_on_the_other(top):
+    # Cut off below at speed; reached above so slowly that it might be a rest.
+    t = 0.01 * np.arange(1000)
+    y = np.clip(1.5 * np.sin(7.0 * t) - 0.6, -1.0, 1.0)
+    slow = t > 8.0
+    y[slow] = np.minimum(0.95 + 0.07 * (t[slow] - 8.0), top)
+    assert clipped(y, upper=False).size > 100
+    np.testing.assert_array_equal(clipped(y), np.flatnonzero(y == 1.0))
+    assert clipped(y).size == (np.sum(y == 1.0) if top == 1.0 else 0)
+
+
 def test_clipped_and_stuck_samples_are_placed():
     y = np.sin(2 * np.pi * t / 200) + 0.3 * np.sin(2 * np.pi * t / 71)
     np.testing.assert_array_equal(clipped(np.minimum(y, 1.1)), np.flatnonzero(y >= 1.1))
