@@ -357,8 +357,9 @@ def test_lost_samples_do_not_lead_to_a_singular_mass():
     assert max(errors) < 0.2
 
 
-def test_quasi_static_record_says_that_inertia_is_not_visible():
-    """Forces so slow that M q̈ is nowhere above the noise: a named failure, or a warning with a remedy."""
+def test_quasi_static_record_says_how_little_it_shows_of_inertia():
+    """Forces so slow that M q̈ is nowhere above the noise: a named failure, a warning with a remedy, or masses with wide
+    errors that hold the true ones (the likelihood is highest at 4.6 and 4.4 kg where 5 and 1 are true)."""
     rng = np.random.default_rng(0)
     u = np.cumsum(data.smooth_noise(rng, SAMPLES, 2, 0.002), axis=0)
     u = u / u.std(axis=0)
@@ -369,7 +370,10 @@ def test_quasi_static_record_says_that_inertia_is_not_visible():
     except ComputationError as error:
         assert "try" in str(error).lower() or "excite" in str(error).lower()
     else:
-        assert any("Excite nearer" in text for text in found.warnings), found.warnings
+        errors = found.standard_errors["mass"]
+        wide = np.diag(errors) > 0.1 * np.diag(found.mass)
+        held = wide.all() and np.all(np.abs(found.mass - TRUTH[0]) < 5 * errors)
+        assert held or any("Excite nearer" in text for text in found.warnings), repr(found)
 
 
 def test_a_slow_motion_sampled_fast_is_reached_by_its_inputs():
