@@ -3,7 +3,7 @@
 import warnings
 
 from ..mechanics.drives import Force
-from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.outcomes import ComputationError
 from ..numerics.progress import AbstractProgress
 from .modal_start import modal_start
 from .prediction import Setting
@@ -31,7 +31,7 @@ def starts_of(
         return found[:1]
     others = other_starts(signals, setting, sampling_time, options, found[0] if found else None, progress)
     if not found and not others:
-        raise failure or ComputationError(RESULTS.unstable_start, stage="start")
+        raise failure
     return sorted(found + others, key=lambda start: -start.score)
 
 
