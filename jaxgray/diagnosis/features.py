@@ -4,6 +4,7 @@ Forces are computed from a motion (simulated, or smoothed from the measurement) 
 effects likewise from the input; output effects from the outputs; matrix effects as differences of linear runs.
 """
 
+import functools
 from dataclasses import dataclass
 
 import jax
@@ -61,12 +62,17 @@ class Shape:
     @property
     def free(self) -> int:
         """Estimated parameters."""
-        return sum(parameter.counts for parameter in self.effect.parameters)
+        return _counted(type(self.effect))
 
     def term(self, weights: np.ndarray) -> Term:
         """The term that the responses with these weights stand for."""
         values = self.effect.combine(self.values, weights)
         return Term(self.effect, self.place, self.effect.bounded(values))
+
+
+@functools.cache
+def _counted(law: type[AbstractEffect]) -> int:
+    return sum(parameter.counts for parameter in law.parameters)
 
 
 @dataclass(frozen=True)
@@ -114,12 +120,12 @@ def features(
                 continue
             grid = effect.shapes(here) if shapes is None else shapes[effect.id, place.name]
             tried = effect.looks(here, grid) * len(places)
+            kind = _kind(effect)
+            group = groups.setdefault((kind, place.name if kind != "matrix" else effect.extra), [])
+            group.extend(range(len(all_shapes), len(all_shapes) + len(grid)))
             for values in grid:
                 basis = tuple(effect.basis(values))
                 all_shapes.append(Shape(effect, place, np.asarray(values, float), basis, here, tried))
-                kind = _kind(effect)
-                key = (kind, place.name if kind != "matrix" else effect.extra)
-                groups.setdefault(key, []).append(len(all_shapes) - 1)
     samples = len(data.u)
     first = np.concatenate([[0], np.cumsum([len(s.basis) for s in all_shapes])])[:-1]
     responses = np.empty((sum(len(s.basis) for s in all_shapes), samples, outputs))

@@ -8,7 +8,7 @@ within one, shows in how far the gain on the data of the fit is from this one.
 
 import numpy as np
 import scipy.special
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from .judgement import FreeRun
 from .result import Gain
@@ -45,10 +45,10 @@ def gain_of(
     """
     runs = before, after, baseline
     short = _Pieces(runs, floor, max(SHORT // len(before), 8))
-    draws = [short.percent(rng.integers(0, len(short), len(short))) for _ in range(RESAMPLES)]
+    draws = short.percent(rng.integers(0, len(short), (RESAMPLES, len(short))))
     everything = np.arange(len(short))
     pairs = {name: (float(b), float(a)) for name, b, a in zip(names, *short.rmse(everything)[:2])}
-    percent = short.percent(everything)
+    percent = float(short.percent(everything))
     between = 0.0
     if held_out and seen is not None:
         fitted = _Pieces(seen, floor, 1)
@@ -73,15 +73,15 @@ class _Pieces:
     def __len__(self):
         return len(self.counts)
 
-    def rmse(self, index) -> list[np.ndarray]:
+    def rmse(self, index: Int[np.ndarray, "... drawn"]) -> list[Float[np.ndarray, "... outputs"]]:
         """Root mean square error per output of every set of runs, over some pieces."""
-        total = np.maximum(self.counts[index].sum(axis=0), 1)
-        return [np.sqrt(sums[index].sum(axis=0) / total) for sums in self.sums]
+        total = np.maximum(self.counts[index].sum(axis=-2), 1)
+        return [np.sqrt(sums[index].sum(axis=-2) / total) for sums in self.sums]
 
-    def percent(self, index) -> float:
+    def percent(self, index: Int[np.ndarray, "... drawn"]) -> Float[np.ndarray, "..."]:
         """Gain over some pieces."""
-        before, after, baseline = (np.sqrt(np.mean((rmse / self.floor) ** 2)) for rmse in self.rmse(index))
-        return float(100 * (before - after) / max(baseline, 1e-300))
+        before, after, baseline = (np.sqrt(np.mean((rmse / self.floor) ** 2, axis=-1)) for rmse in self.rmse(index))
+        return 100 * (before - after) / np.maximum(baseline, 1e-300)
 
 
 def _cut(run: FreeRun, each: int) -> list[np.ndarray]:

@@ -51,10 +51,14 @@ def standing_out(e: np.ndarray) -> np.ndarray:
     A residual is about zero, so a sample is judged by itself. `records.defects.spikes` judges a moving signal by the
     line between neighbours: it needs five good ones on each side, which the ends and outliers close by do not have.
     """
-    size = np.nan_to_num(np.abs(e - np.nanmedian(e)))
-    usual = 1.4826 * np.median(size)
-    nearby = 1.4826 * np.median(sliding_window_view(np.pad(size, NEAR, mode="reflect"), 2 * NEAR + 1), axis=1)
-    far = np.flatnonzero(size > SIZES * np.maximum(usual, nearby))
+    known = np.abs(e - np.nanmedian(e))
+    usual = 1.4826 * np.nanmedian(known)
+    windows = sliding_window_view(np.pad(known, NEAR, mode="reflect"), 2 * NEAR + 1)
+    candidates = np.flatnonzero(known > SIZES * usual)
+    nearby = 1.4826 * np.nanmedian(windows[candidates], axis=1)
+    far = candidates[known[candidates] > SIZES * nearby]
+    # What is missing says nothing against a sample beside it.
+    size = np.nan_to_num(known)
     padded = np.pad(size, 2)
     found = []
     for run in np.split(far, np.flatnonzero(np.diff(far) > 1) + 1):
@@ -65,7 +69,8 @@ def standing_out(e: np.ndarray) -> np.ndarray:
 
 
 def _finding(name: str, count: int) -> Finding:
-    text = f"{count} samples of {name} are far off their neighbours in what the linear model leaves: left out."
+    who = f"1 sample of {name} is far off its" if count == 1 else f"{count} samples of {name} are far off their"
+    text = f"{who} neighbours in what the linear model leaves: left out."
     return Finding(
         "outliers", name, "named", "record", (), {"count": Estimate(float(count), None, "")}, None, None, text
     )
@@ -78,8 +83,10 @@ def merged(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
         key = (finding.effect, finding.location) if finding.effect == "outliers" else (k,)
         if key in result:
             first = result[key]
-            total = first.parameters["count"].value + finding.parameters["count"].value
-            message = f"{first.message} {finding.message}"
-            finding = dataclasses.replace(first, parameters={"count": Estimate(total, None, "")}, message=message)
+            parts = [int(f.parameters["count"].value) for f in (first, finding)]
+            late = [f.message == _finding(f.location, n).message for f, n in zip((first, finding), parts)]
+            total = _finding(first.location, sum(parts))
+            message = total.message if all(late) else f"{first.message} {finding.message}"
+            finding = dataclasses.replace(first, parameters=total.parameters, message=message)
         result[key] = finding
     return tuple(result.values())

@@ -1,6 +1,7 @@
 """Inner products of sensitivities, residual and responses through one whitening chain, sensitivities taken out."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -53,6 +54,16 @@ class Dense:
         )
 
 
+class Alone(NamedTuple):
+    """What every response does by itself: whether the record can show it; share of the residual's power that it
+    explains, and its weight; its `size` off the sensitivities."""
+
+    visible: Bool[np.ndarray, " columns"]
+    share: Float[np.ndarray, " columns"]
+    weights: Float[np.ndarray, " columns"]
+    size: Float[np.ndarray, " columns"]
+
+
 class Products:
     """All responses through one chain, kept as rows so that products are taken only where they are asked for.
 
@@ -94,8 +105,21 @@ class Products:
 
     def among(self, columns) -> Dense:
         """Products among some responses."""
-        X, inside = self.X[columns], self.inside[columns]
-        return Dense(X @ X.T - inside @ inside.T, self.target[columns], self.power, self.before[columns], self.rows)
+        inside, before = self.inside[columns], self.before[columns]
+        if len(before) == 1:
+            products = before[:, None]
+        else:
+            X = self.X[columns]
+            products = X @ X.T
+        return Dense(products - inside @ inside.T, self.target[columns], self.power, before, self.rows)
+
+    def one_by_one(self) -> Alone:
+        """Every response by itself."""
+        power = self.before - np.einsum("ki,ki->k", self.inside, self.inside)
+        visible = power > DEPENDENT * np.maximum(self.before, 1e-300)
+        weights = np.divide(self.target, power, out=np.zeros_like(power), where=visible)
+        share = np.clip(self.target * weights / self.power, 0.0, 1 - 1e-12)
+        return Alone(visible, share, weights, np.sqrt(np.maximum(power, 0.0)))
 
     def with_noise(self, noise: Float[np.ndarray, "surrogates whitened"]) -> Float[np.ndarray, "columns surrogates"]:
         """Products of the responses with residuals of white noise, off the sensitivities."""

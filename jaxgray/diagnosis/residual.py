@@ -22,6 +22,7 @@ from ..mechanics.statespace import StateSpace
 from ..numerics.filters import filtered
 from ..numerics.lifting import respond, respond_many
 from ..numerics.riccati import kalman_gain
+from ..numerics.side_by_side import side_by_side
 from ..numerics.stored_programs import stored
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
@@ -72,12 +73,14 @@ class Chain:
             return result
         arrays = (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)
 
-        for k in range(0, len(X), ROWS):
+        def whiten(k):
             part = X[k : k + ROWS]
             count = len(part)
             if count < ROWS:
                 part = np.concatenate([part, np.zeros((ROWS - count, *X.shape[1:]))])
             result[k : k + count] = np.asarray(_whiten(*arrays, part))[:count]
+
+        side_by_side(whiten, range(0, len(X), ROWS))
         return result
 
     @property

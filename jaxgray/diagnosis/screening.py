@@ -14,6 +14,7 @@ import scipy.special
 from jaxtyping import Bool, Float
 
 from ..identification.conic import pseudo_inverse
+from ..mechanics.effects.base import limits
 from .features import Features, Shape
 from .problem import Data
 from .products import Products
@@ -94,27 +95,34 @@ class Screening:
 def score_all(products: Products, features: Features) -> tuple[tuple[Score, ...], int]:
     """Scores of all shapes, best first, and how many had no finite response."""
     m, scores, overflowed, at = products.rows, [], 0, 0
+    alone = products.one_by_one()
     for shape in features.shapes:
         columns = np.arange(at, at + len(shape.basis))
         at += len(shape.basis)
         if not np.all(products.finite[columns]):
             overflowed += 1
             continue
-        own = products.among(columns)
-        seen = np.flatnonzero(own.visible(np.arange(len(columns))))
-        if not len(seen):
-            continue
-        share, found = own.taken(seen)
-        weights = np.zeros(len(columns))
-        weights[seen] = found
+        if len(columns) == 1:
+            k = at - 1
+            if not alone.visible[k]:
+                continue
+            seen, share, weights, size = 1, alone.share[k], alone.weights[k : k + 1], alone.size[k]
+        else:
+            own = products.among(columns)
+            shown = np.flatnonzero(own.visible(np.arange(len(columns))))
+            if not len(shown):
+                continue
+            share, found = own.taken(shown)
+            weights = np.zeros(len(columns))
+            weights[shown] = found
+            seen, size = len(shown), np.sqrt(np.max(np.diag(own.matrix)[shown]))
         ratio = -m * np.log1p(-share)
         penalty = _penalty(shape, m)
         worth = ratio - penalty > 0
         if worth and not allowed(shape, weights):
             continue
-        p = float(scipy.special.chdtrc(len(seen), ratio)) * shape.tried if worth else 1.0
+        p = float(scipy.special.chdtrc(seen, ratio)) * shape.tried if worth else 1.0
         variance = products.power * (1 - share) / m
-        size = np.sqrt(np.max(np.diag(own.matrix)[seen]))
         smallest = float(np.sqrt((penalty + GATE) * variance) / size)
         scores.append(Score(shape, weights, float(ratio), float(ratio - penalty), p, smallest, int(columns[0])))
     scores.sort(key=lambda s: -s.delta_bic)
@@ -127,10 +135,9 @@ def _penalty(shape: Shape, rows: int) -> float:
 
 def allowed(shape: Shape, weights: np.ndarray) -> bool:
     """Whether the effect can be of this sign: some amplitude is left inside its physical bounds."""
-    effect = shape.effect
-    values = effect.bounded(effect.combine(shape.values, weights))
-    amplitudes = [(v, p) for v, p in zip(values, effect.parameters) if p.amplitude]
-    return not amplitudes or any(p.lower < v < p.upper for v, p in amplitudes)
+    lower, upper, amplitudes = limits(type(shape.effect))
+    values = np.clip(shape.effect.combine(shape.values, weights), lower, upper)
+    return not len(amplitudes) or bool(np.any((lower < values)[amplitudes] & (values < upper)[amplitudes]))
 
 
 def screen(

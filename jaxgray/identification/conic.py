@@ -58,17 +58,12 @@ def step_inside(
     **Arguments:** `solver` of semidefinite least squares; `quadratic` Q; `slope` s; `here`; `floors`: least eigenvalue
     of each block; `sizes` of the blocks; `held`: entries that do not move, None for none.
 
-    **Returns:** the step, the plain one where that stays inside; None where none was found.
+    **Returns:** the step, by linear equations where no block but single numbers ends at its floor; None where none was
+    found.
     """
     free = np.ones(len(here), bool) if held is None else ~held
-    scale = np.sqrt(np.maximum(np.diag(quadratic), np.finfo(float).tiny))
-    plain = np.zeros(len(here))
-    try:
-        scaled = (quadratic / scale[:, None] / scale[None, :])[np.ix_(free, free)]
-        plain[free] = -np.linalg.solve(scaled, (slope / scale)[free]) / scale[free]
-    except np.linalg.LinAlgError:
-        plain[:] = np.nan
-    if np.all(np.isfinite(plain)) and inside_cone(here + plain, sizes, floors):
+    plain = _at_bounds(quadratic, slope, here, floors, sizes, free)
+    if plain is not None:
         return plain
     problem = PositiveLeastSquares(
         quadratic, slope - quadratic @ here, floors, sizes, held if held is not None and held.any() else None, here
@@ -77,6 +72,38 @@ def step_inside(
         return np.asarray(solver(problem)) - here
     except ComputationError:
         return None
+
+
+def _at_bounds(quadratic, slope, here, floors, sizes, free) -> np.ndarray | None:
+    """The step with single numbers at their floors where they would fall below; None unless it is the optimum."""
+    scale = np.sqrt(np.maximum(np.diag(quadratic), np.finfo(float).tiny))
+    scaled = quadratic / scale[:, None] / scale[None, :]
+    ends = np.cumsum([n * (n + 1) // 2 for n in sizes]) - 1
+    # Where single numbers stand, their floors, and by how much each may fall.
+    numbers = np.array(sizes) == 1
+    single, least = ends[numbers], floors[numbers]
+    room = here[single] - least
+    stopped = np.zeros(len(here), bool)
+    for _ in range(len(single) + 1):
+        step = np.zeros(len(here))
+        step[single] = np.where(stopped[single], -room, 0.0) * scale[single]
+        moving = free & ~stopped
+        try:
+            right = (slope / scale + scaled @ step)[moving]
+            step[moving] = -np.linalg.solve(scaled[np.ix_(moving, moving)], right)
+        except np.linalg.LinAlgError:
+            return None
+        if not np.all(np.isfinite(step)):
+            return None
+        below = free[single] & ~stopped[single] & (step[single] / scale[single] < -room)
+        if not below.any():
+            break
+        stopped[single[below]] = True
+    # What is stopped must press against its floor.
+    pressed = np.all((slope / scale + scaled @ step)[stopped] >= 0.0)
+    end = here + step / scale
+    end[single] = np.where(stopped[single], least, end[single])
+    return end - here if pressed and inside_cone(end, sizes, floors) else None
 
 
 def conic_steps(

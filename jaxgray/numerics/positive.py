@@ -172,6 +172,8 @@ _ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress")
 def _projection_parts(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Projection of one block's isometric vector on the cone, and its derivative."""
     n = symmetric_size(len(X))
+    if n == 1:
+        return np.maximum(X, 0.0), np.array([[float(X[0] > 0)]])
     basis = duplication(n)
     values, vectors = np.linalg.eigh((basis @ X).reshape(n, n))
     clipped = np.maximum(values, 0.0)

@@ -102,7 +102,12 @@ def _folder() -> pathlib.Path | None:
         or len(jax.local_devices()) > 1
     ):
         return None
-    return pathlib.Path(config.jax_compilation_cache_dir) / FOLDER
+    return _below(config.jax_compilation_cache_dir)
+
+
+@functools.cache
+def _below(cache: str) -> pathlib.Path:
+    return pathlib.Path(cache) / FOLDER
 
 
 class _Hits:
@@ -170,7 +175,7 @@ class StoredProgram:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays) or (folder := _folder()) is None:
             return self._plain(*args, **kwargs)
         static = tuple(None if eqx.is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
-        shapes = tuple((x.shape, str(x.dtype), bool(getattr(x, "weak_type", False))) for x in arrays)
+        shapes = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)
         key = tree, static, shapes, _settings()
         try:
             new = key not in self._ready
@@ -198,7 +203,8 @@ class StoredProgram:
                 return None
             frame = jax.tree_util.tree_unflatten(tree, [_Array() if eqx.is_array(x) else x for x in leaves])
             name = f"{self._function.__module__}.{self._function.__qualname__}"
-            wanted = _bytes_of((name, sorted((self._options or {}).items()), shapes, _settings(), frame))
+            named = tuple((shape, str(dtype), bool(weak)) for shape, dtype, weak in shapes)
+            wanted = _bytes_of((name, sorted((self._options or {}).items()), named, _settings(), frame))
             path = folder / hashlib.sha256(_surroundings() + wanted).hexdigest()
         except Exception:
             return None

@@ -10,6 +10,7 @@ from hidden_laws import Effect
 from hidden_simulation import System
 
 import jaxgray
+from jaxgray.diagnosis.late_outliers import standing_out
 
 
 def test_encoders_may_count_from_another_zero_in_every_record():
@@ -91,3 +92,12 @@ def test_outliers_that_the_motion_hides_are_left_out():
     assert not any("missing" in text for text in diagnosis.warnings), diagnosis.warnings
     (rmse,), (floor,) = diagnosis.baseline.rmse["validation"].values(), diagnosis.noise_floor.values()
     assert rmse < 1.2 * floor, str(diagnosis)
+
+
+def test_a_sample_between_missing_ones_is_judged_by_those_that_are_known():
+    rng = np.random.default_rng(8)
+    e = np.where(np.repeat(rng.random(400) < 0.6, 10), np.nan, rng.standard_normal(4000))
+    first, last = 1000, 3000
+    e[first - 8 : first + 9] = e[last - 8 : last + 9] = np.nan
+    e[[first, last]] = 2.5, 25.0
+    assert list(standing_out(e)) == [last]

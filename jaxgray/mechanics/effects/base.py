@@ -109,6 +109,9 @@ class AbstractEffect(eqx.Module):
     contains: ClassVar[tuple[str, ...]] = ()
     stage: ClassVar[str] = "model"
 
+    __getattribute__ = object.__getattribute__
+    """Methods as they are: equinox makes a tree of each that is asked for, which without data in it is all cost."""
+
     @abc.abstractmethod
     def shapes(self, scales: Scales) -> list[np.ndarray]:
         """Parameter vectors to try: one per shape, every amplitude 1 and every other parameter set.
@@ -136,7 +139,7 @@ class AbstractEffect(eqx.Module):
     def combine(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """The parameter vector that a sum of the `basis` with these weights stands for, within the bounds."""
         result = np.array(p, dtype=float)
-        amplitudes = _limits(type(self))[2]
+        amplitudes = limits(type(self))[2]
         result[amplitudes] = result[amplitudes] * np.asarray(weights)
         return self.bounded(result)
 
@@ -157,12 +160,12 @@ class AbstractEffect(eqx.Module):
 
     def bounded(self, p: np.ndarray) -> np.ndarray:
         """The parameter vector moved inside its bounds."""
-        lower, upper, _ = _limits(type(self))
+        lower, upper, _ = limits(type(self))
         return np.clip(np.asarray(p, dtype=float), lower, upper)
 
 
 @functools.cache
-def _limits(law: type[AbstractEffect]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def limits(law: type[AbstractEffect]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lower and upper bounds of the parameters of a law, and the positions of its amplitudes."""
     sizes = [k for k, parameter in enumerate(law.parameters) if parameter.amplitude]
     return (

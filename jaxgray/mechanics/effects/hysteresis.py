@@ -149,6 +149,16 @@ class MaxwellSlipHysteresis(AbstractForceEffect):
     def unresolved(self, p, scales):
         return _too_short("d", min(p[2], p[3]), scales)
 
+    def moved(self, p, change):
+        # A slider that gives way often shows k·d more than k: straight in k·d and d.
+        k, d = p[:2], p[2:]
+        short = d + change[2:]
+        size = k * d + change[:2] * d + k * change[2:]
+        new = p + change
+        curved = (k > 0) & (size > 0) & (short > 0)
+        new[:2][curved] = size[curved] / short[curved]
+        return new
+
     def force(self, p, here, z):
         return p[0] * z[0] + p[1] * z[1]
 

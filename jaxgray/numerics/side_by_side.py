@@ -1,0 +1,35 @@
+"""Independent calls of compiled programs on all cores: such a program runs on one, and lets others run meanwhile."""
+
+import functools
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+
+MOST = 4
+"""Threads at most: beyond, memory is what they would wait for."""
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@functools.cache
+def _pool(_: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(cores(), MOST), thread_name_prefix="jaxgray")
+
+
+def side_by_side(function: Callable, parts: Iterable) -> list:
+    """What a function gives for each of some parts, in their order.
+
+    **Arguments:** `function`: must not call this again; `parts`.
+
+    **Raises:** what the function raises.
+    """
+    parts = list(parts)
+    if len(parts) < 2 or cores() < 2:
+        return [function(part) for part in parts]
+    # The first part here: a program that is new is prepared once, and not by every thread.
+    first = function(parts[0])
+    # A process that was forked has no threads of its parent.
+    return [first, *_pool(os.getpid()).map(function, parts[1:])]

@@ -1,0 +1,37 @@
+"""One step inside the cone: by linear equations where they are enough, by the interior point where not."""
+
+import numpy as np
+
+from jaxgray.identification.conic import step_inside
+from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares
+
+SIZES = (2, 1, 1, 1)
+FLOORS = np.array([0.01, 0.0, 0.1, 0.0])
+HERE = np.array([2.0, 0.1, 2.0, 0.3, 0.2, 0.1])
+
+
+class NoSolver:
+    def __call__(self, problem):
+        raise AssertionError("the interior point was asked")
+
+
+def test_numbers_that_stop_at_their_floors_take_no_interior_point():
+    rng = np.random.default_rng(1)
+    asked = stopped = 0
+    for k in range(200):
+        rows = rng.standard_normal((len(HERE), 30))
+        Q, slope = rows @ rows.T, 20 * rng.standard_normal(len(HERE))
+        held = np.zeros(len(HERE), bool)
+        held[k % len(HERE)] = k % 2
+        values = HERE if held.any() else None
+        problem = PositiveLeastSquares(Q, slope - Q @ HERE, FLOORS, SIZES, held if held.any() else None, values)
+        right = np.asarray(ClarabelSolver()(problem)) - HERE
+        try:
+            step = step_inside(NoSolver(), Q, slope, HERE, FLOORS, SIZES, held)
+        except AssertionError:
+            asked += 1
+            continue
+        stopped += np.any((HERE + step)[3:] == FLOORS[1:])
+        np.testing.assert_allclose(step, right, atol=1e-9)
+        assert not np.any(step[held])
+    assert stopped > 40 and asked > 10

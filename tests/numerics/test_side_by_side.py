@@ -1,0 +1,24 @@
+"""Calls on several threads."""
+
+import threading
+
+import pytest
+
+from jaxgray.numerics import side_by_side as module
+from jaxgray.numerics.side_by_side import side_by_side
+
+
+def test_results_come_in_order_and_failures_reach_the_caller(monkeypatch):
+    monkeypatch.setattr(module, "cores", lambda: 3)
+    together, seen = threading.Barrier(2, timeout=20), []
+
+    def slow(k):
+        seen.append(threading.get_ident())
+        # Neither of the two would come back if they did not run at the same time.
+        return k if k == 0 else (together.wait(), k)[1]
+
+    assert side_by_side(slow, range(3)) == [0, 1, 2]
+    assert len(set(seen)) == 3
+    assert side_by_side(slow, []) == []
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda k: 1 / (3 - k), range(5))
