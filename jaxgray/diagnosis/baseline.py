@@ -33,14 +33,15 @@ class Baseline:
 
 
 def baseline_of(
-    records: list[Record], identification: Identification | None, model: MechanicalModel | None, held
+    records: list[Record], identification: Identification | None, model: MechanicalModel | None
 ) -> Baseline:
-    """The baseline of an identification, or of a model of the user's own, whose entries do not move.
+    """The baseline of an identification, whose fixed entries stay fixed, or of a model of the user's own, whose entries
+    all do.
 
     The first states are those that go with a constant output offset; the offset itself stays in the residual, where
     it is a finding.
 
-    **Arguments:** `records`; `identification` or `model`; `held`: entries that the user fixed, None for none.
+    **Arguments:** `records`; `identification` or `model`.
 
     **Raises:** `ValueError` when the user's model does not go with the record.
     """
@@ -62,7 +63,7 @@ def baseline_of(
         model, scaling, structure = identification.model, identification.scaling, identification.structure
     setup = _setup(model, scaling, structure, records[0])
     entries = setup.entries_of(model.mass, model.damping, model.stiffness)
-    fixed = np.ones(len(entries), bool) if own else np.zeros(len(entries), bool) if held is None else held
+    fixed = np.ones(len(entries), bool) if own else identification.fixed
     setup = _setup(model, scaling, structure, records[0], fixed)
     states = []
     for record in records:

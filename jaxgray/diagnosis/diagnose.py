@@ -157,7 +157,7 @@ def _of_clean_records(
         plain = identification.model if model is None else model
         from_zero, anew = from_own_zeros(records + held, plain)
         records, held = from_zero[: len(records)], from_zero[len(records) :]
-    baseline = baseline_of(records, identification, model, None)
+    baseline = baseline_of(records, identification, model)
     floor, source = independent_floor(records[0])
     laws = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
     data = [Data.of(r) for r in records]

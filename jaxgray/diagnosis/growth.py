@@ -34,6 +34,9 @@ SLIGHT = 0.02
 HALVED = 50.0
 """Gain [%] on held-out data from which something is there, whatever the colour of the noise."""
 
+SPARED = 3
+"""Rounds that but rule something out, and do not count."""
+
 BEHIND = 50.0
 """ΔBIC by measured motion from which an effect may hide behind noise at the forces."""
 
@@ -67,46 +70,53 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
 
 
 def _rounds(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEffect, ...]) -> None:
-    for turn in range(most + 1):
-        relieve()
-        found, told_from = len(growth.accepted), growth.ruled_out
-        growth.stage = dataclasses.replace(growth.stage, ruled_out=growth.ruled_out)
-        bench.progress.stage("looking for effects" if found == 0 else f"looking further ({found} found)")
-        screening = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
-        growth.screening = screening
-        growth.first = screening if growth.first is None else growth.first
-        strong = _strong(screening)
-        growth.unexplained = screening.fires
-        closer = None
-        if not screening.fires and not strong:
-            closer = _behind_the_noise(bench, growth.stage, screening)
-            if closer is None:
-                if turn < most and _accepted(bench, growth, hidden_modes(bench, growth.stage, screening)):
-                    continue
-                return
-        if turn == most:
-            return
-        closer = _closer(bench, growth.stage, screening) if closer is None else closer
-        before = len(growth.rejected)
-        ranked = _refitted(bench, growth, screening, closer)
-        if _accepted(bench, growth, ranked) or growth.ruled_out != told_from:
-            continue
-        if _given_up(growth.rejected[before:], ranked):
-            # Far behind laws that do not hold, and looked for under what these leave.
-            others = _without(bench, growth, searched, screening, ranked)
-            second = [] if others is None else _refitted(bench, growth, *others)
-            if _accepted(bench, growth, second):
-                continue
-            ranked = compared(bench, growth.stage, ranked + second) if second else ranked
-        refitted = frozenset(attempt.name for attempt in ranked)
-        if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted)):
-            continue
-        if _accepted(bench, growth, by_free_runs(bench, growth, ranked)[:1], least=HALVED):
-            continue
-        refuted = screening.fires and _refuted(bench, growth, ranked, searched)
-        growth.unexplained = screening.fires and not refuted
-        if refuted or turn >= most - 1 or not _lent(bench, growth, ranked):
-            return
+    turn, free = 0, SPARED
+    while (used := _round(bench, growth, most - turn, searched)) is not None:
+        turn, free = (turn, free - 1) if used == 0 and free else (turn + 1, free)
+
+
+def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffect, ...]) -> int | None:
+    """One round, where so many effects may still be added: how many it took, 0 where it but ruled something out; None
+    where nothing more is found."""
+    relieve()
+    found, told_from = len(growth.accepted), growth.ruled_out
+    growth.stage = dataclasses.replace(growth.stage, ruled_out=growth.ruled_out)
+    bench.progress.stage("looking for effects" if found == 0 else f"looking further ({found} found)")
+    screening = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
+    growth.screening = screening
+    growth.first = screening if growth.first is None else growth.first
+    growth.unexplained = screening.fires
+    closer = None
+    if not screening.fires and not _strong(screening):
+        closer = _behind_the_noise(bench, growth.stage, screening)
+        if closer is None:
+            hidden = left > 0 and _accepted(bench, growth, hidden_modes(bench, growth.stage, screening))
+            return 1 if hidden else None
+    if left <= 0:
+        return None
+    closer = _closer(bench, growth.stage, screening) if closer is None else closer
+    before = len(growth.rejected)
+    ranked = _refitted(bench, growth, screening, closer)
+    if _accepted(bench, growth, ranked):
+        return 1
+    if growth.ruled_out != told_from:
+        return 0
+    if _given_up(growth.rejected[before:], ranked):
+        # Far behind laws that do not hold, and looked for under what these leave.
+        others = _without(bench, growth, searched, screening, ranked)
+        second = [] if others is None else _refitted(bench, growth, *others)
+        if _accepted(bench, growth, second):
+            return 1
+        ranked = compared(bench, growth.stage, ranked + second) if second else ranked
+    refitted = frozenset(attempt.name for attempt in ranked)
+    if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted)):
+        return 1
+    if _accepted(bench, growth, by_free_runs(bench, growth, ranked)[:1], least=HALVED):
+        return 1
+    refuted = screening.fires and _refuted(bench, growth, ranked, searched)
+    growth.unexplained = screening.fires and not refuted
+    # What is lent its place needs another round to redeem it.
+    return 1 if not refuted and left > 1 and _lent(bench, growth, ranked) else None
 
 
 def _closer(bench: Bench, stage: Stage, screening: Screening) -> Screening:

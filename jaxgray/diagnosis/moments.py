@@ -96,8 +96,7 @@ def from_other_moments(bench: Bench, fit: Refit, *, max_steps: int, tolerance: f
     def chosen(fit: Refit, chain: Chain) -> list[np.ndarray]:
         tried, shares, weights = _looked(bench, fit.candidate, chain, at)
         k = int(np.argmax(shares))
-        values = effect.bounded(effect.combine(tried[k], weights[k]))
-        return [values] if np.isfinite(shares[k]) else []
+        return [effect.bounded(effect.combine(tried[k], weights[k]))] if np.isfinite(shares[k]) else []
 
     return from_other_values(bench, fit, chosen, max_steps=max_steps, tolerance=tolerance, worth=SURE)
 

@@ -68,18 +68,22 @@ def jerks_of(series: list[Series]) -> tuple[Push, ...]:
 def _brief(sizes, near, far, series: list[Series], forces, applied: float) -> tuple[Push, ...]:
     """Stretches of rows in which a size stays above `near` and passes `far`, none where they are too much of the
     records."""
-    found = []
+    found, on = [], []
     for record, (size, one) in enumerate(zip(sizes, series)):
+        step, samples = int(np.min(np.diff(one.rows), initial=len(one.q))), len(one.q)
+        on.append(np.zeros(samples, bool))
         for dof in range(size.shape[1]):
             above = np.flatnonzero(size[:, dof] > near[dof])
-            for run in np.split(above, np.flatnonzero(np.diff(above) > 1) + 1):
+            # Rows that are missing end a stretch.
+            for run in np.split(above, np.flatnonzero(np.diff(one.rows[above]) > step) + 1):
                 if np.any(size[run, dof] > far[dof]):
                     # It began after the row before, and ended before the next.
-                    first, last = one.rows[[max(run[0] - 1, 0), min(run[-1] + 1, len(size) - 1)]]
+                    first, last = max(one.rows[run[0]] - step, 0), min(one.rows[run[-1]] + step, samples - 1)
                     force = float(forces[record][run, dof].max())
                     found.append(Push(record, int(first), int(last), dof, force, applied))
-    lasts = sum(push.last - push.first + 1 for push in found)
-    return tuple(found) if lasts <= MOST * sum(len(one.q) for one in series) else ()
+                    on[record][first : last + 1] = True
+    share = np.mean(np.concatenate(on)) if on else 0.0
+    return tuple(found) if share <= MOST else ()
 
 
 def samples_of(pushes: tuple[Push, ...], records: list[Record]) -> list[np.ndarray]:
@@ -94,7 +98,9 @@ def warnings_of(pushes: tuple[Push, ...], records: list[Record], model: Mechanic
     """What is said of pushes; `records`: those of the fit and those held out."""
     result = []
     for push in pushes:
-        name, unit = model.output_names[push.dof], model.input_units[0] if model.input_units else ""
+        # Forces and torques together have no unit in common.
+        units = set(model.input_units)
+        name, unit = model.output_names[push.dof], units.pop() if len(units) == 1 else ""
         start, end = (records[push.record].time[k] for k in (push.first, push.last))
         unit = f" {unit}" if unit else ""
         result.append(

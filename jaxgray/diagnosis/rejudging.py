@@ -14,6 +14,7 @@ from .refitting import Attempt, moving
 from .residual import Chain
 from .result import Rejected
 from .standing import alike, needless
+from .thresholds import at_fewer_everywhere
 
 STEPS = 10
 """Of each refit of a rival."""
@@ -23,6 +24,10 @@ def rejudge(bench: Bench, growth: Growth) -> None:
     """Refit every rival in its finding's place in the model with all findings. Those that are far behind leave the
     class; one that is far ahead takes the place. The last finding's rivals were refitted there, unless it took in a law
     that it contains."""
+    if growth.fit is not None:
+        fewer = at_fewer_everywhere(bench, growth.fit, max_steps=STEPS, tolerance=ROUGH)
+        if fewer is not growth.fit:
+            _go_on(bench, growth, fewer)
     last = len(growth.accepted) - 1
     for k, accepted in enumerate(growth.accepted):
         if k < last and accepted.rivals or any(np.isinf(rival.criterion) for rival in accepted.rivals):
@@ -61,8 +66,13 @@ def _class_again(bench: Bench, growth: Growth, k: int) -> None:
         return
     taken = dataclasses.replace(best, fit=own.fit, criterion=own.criterion)
     growth.accepted[k] = dataclasses.replace(accepted, attempt=taken, rivals=tuple(rivals))
-    growth.fit, growth.stage = best.fit, stage_of_candidate(bench, best.fit.candidate)
-    growth.runs = [held_out_run(bench, best.fit.candidate, d) for d in bench.validation]
+    _go_on(bench, growth, best.fit)
+
+
+def _go_on(bench: Bench, growth: Growth, fit: Refit) -> None:
+    """Let another refit of all findings stand for the whole model."""
+    growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
+    growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
     growth.accepted[-1] = dataclasses.replace(growth.accepted[-1], runs=growth.runs)
 
 

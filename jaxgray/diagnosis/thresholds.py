@@ -110,6 +110,31 @@ def at_fewer_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: 
     return fit
 
 
+def at_fewer_everywhere(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+    """The same for every term before the last: while others were missing, what they left hid which thresholds pay.
+
+    **Arguments:** as of `at_fewer_thresholds`.
+    """
+    for k, term in enumerate(fit.candidate.terms[:-1]):
+        if not elements_of(term.effect):
+            continue
+        terms = fit.candidate.terms
+        last = _in_order(bench, fit, (*terms[:k], *terms[k + 1 :], term))
+        few = None if last is None else at_fewer_thresholds(bench, last, max_steps=max_steps, tolerance=tolerance)
+        if few is None or few is last:
+            continue
+        *others, term = few.candidate.terms
+        back = _in_order(bench, few, (*others[:k], term, *others[k:]))
+        fit = fit if back is None else back
+    return fit
+
+
+def _in_order(bench: Bench, fit: Refit, terms: tuple[Term, ...]) -> Refit | None:
+    """A refit with its terms in another order."""
+    candidate = fit.candidate.with_terms(terms)
+    return refit(bench.simulator, candidate, bench.data, chain_of(bench, fit), held=bench.held, max_steps=0)
+
+
 def _at_one(bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, int]]) -> Refit | None:
     """A refit with some thresholds that noise drew apart at their mean again, or as it is where they are the same; None
     where that cannot be simulated."""

@@ -156,6 +156,8 @@ def verdict_sentence(diagnosis: "Diagnosis") -> str:
     if seen:
         names = diagnosis.baseline.model.output_names
         parts += [f"Seen in the record: {listed(_seen(f, names) for f in seen)}."]
+        # Behind what it is, how much of it may be something else.
+        parts += [f.message.partition(". ")[2] for f in seen if f.effect == "process_noise"]
         mended = [f for f in seen if f.gain is not None]
         if mended and not causes:
             parts += [_gain(diagnosis, mended)]
@@ -167,10 +169,8 @@ def _missed(diagnosis: "Diagnosis", subject: str) -> str:
     excess, place = worst_output(diagnosis)
     where = f" at {place}" if place else ""
     if diagnosis.verdict == "noise" and diagnosis.extended is None:
-        return (
-            f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
-            "nothing is missing that this record could show."
-        )
+        text = f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
+        return text + "nothing is missing that this record could show."
     if diagnosis.verdict == "unexplained" and excess < ONLY_NOISE:
         # The floor is what the model itself leaves on the data of the fit.
         return f"{subject} leaves more than noise{where}."

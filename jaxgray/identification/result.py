@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..mechanics.model import MechanicalModel
 from ..numerics.notebook import Shown
@@ -41,7 +41,7 @@ class Identification(Shown):
     `start` and `refinement`: where it came from; `estimation`, `validation`: fits per record; `noise_floor`: standard
     deviation of the unpredictable part per output; `residual_test`; `structure_test`; `aic`, `bic`; `noise`:
     noise model in words and figures; `warnings`: in words; `scaling`, `setting`, `structure`: what the computation
-    used.
+    used; `fixed`: entries of the joined blocks that did not move (by `fix`, or the scale under base excitation).
     """
 
     model: MechanicalModel
@@ -62,6 +62,7 @@ class Identification(Shown):
     scaling: Scaling = field(repr=False)
     setting: Setting = field(repr=False)
     structure: Structure = field(repr=False)
+    fixed: Bool[np.ndarray, " entries"] = field(repr=False)
 
     @property
     def mass(self) -> Float[np.ndarray, "dofs dofs"]:
@@ -210,6 +211,7 @@ def assess(
         scaling,
         setting,
         structure,
+        np.asarray(held, bool),
     )
 
 

@@ -1,9 +1,12 @@
 """Independent calls of compiled programs on all cores: such a program runs on one, and lets others run meanwhile."""
 
+import contextlib
 import functools
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+
+import jax
 
 MOST = 4
 """Threads at most: beyond, memory is what they would wait for."""
@@ -30,6 +33,12 @@ def side_by_side(function: Callable, parts: Iterable) -> list:
     if len(parts) < 2 or cores() < 2:
         return [function(part) for part in parts]
     # The first part here: a program that is new is prepared once, and not by every thread.
-    first = function(parts[0])
+    first, wide = function(parts[0]), jax.config.jax_enable_x64
+
+    def alike(part):
+        # What was set for the calling thread alone, another does not have.
+        with contextlib.nullcontext() if jax.config.jax_enable_x64 == wide else jax.enable_x64(wide):
+            return function(part)
+
     # A process that was forked has no threads of its parent.
-    return [first, *_pool(os.getpid()).map(function, parts[1:])]
+    return [first, *_pool(os.getpid()).map(alike, parts[1:])]

@@ -6,7 +6,7 @@ import zlib
 import hidden
 import numpy as np
 import pytest
-from found import diagnosed, hidden_case, model_findings
+from found import SAMPLES, diagnosed, generator, hidden_case, model_findings
 from hidden_laws import Effect
 from hidden_simulation import System
 
@@ -147,3 +147,26 @@ def test_elements_at_one_threshold_are_said_as_one():
     assert said["r"].value == pytest.approx((1.40005, 3.0)) and said["r"].standard_error == pytest.approx((0.04, 0.1))
     apart = Term(term.effect, term.place, np.array([0.05, 0.05, 0.2, 1.4, 1.5, 3.0]))
     assert estimates_of(apart, errors, one)["r"].value == (1.4, 1.5, 3.0)
+
+
+def test_a_needless_threshold_goes_once_all_is_found():
+    # Found while an offset was missing, a third element at a threshold of nothing had passed for a gain.
+    rng = generator("play beside an offset")
+    system = System(np.array([[1.0]]), np.array([[2.0]]), np.array([[400.0]]))
+    play = Effect("play_hysteresis", "u1", {"w": [0.5, 0.9], "r": [0.6, 1.4]})
+
+    def stage():
+        u = hidden.draws.steps(rng, SAMPLES)[:, None] * 2.0
+        y = hidden.simulate(system, u, 0.02, [play])
+        return jaxgray.Record(u, y + 0.01 * y.std() * rng.standard_normal(y.shape) + 0.0019, 0.02)
+
+    diagnosis = jaxgray.diagnose(stage(), validation=stage(), only=["play_hysteresis", "sensor_offset"])
+    found = {f.effect: f.parameters for f in model_findings(diagnosis)}
+    assert set(found) == {"play_hysteresis", "sensor_offset"}, str(diagnosis)
+    for name, true in play.parameters.items():
+        value, error = (
+            np.array(x) for x in (found["play_hysteresis"][name].value, found["play_hysteresis"][name].standard_error)
+        )
+        assert len(value) == 2 and np.all(np.abs(value - true) < 5 * error), str(diagnosis)
+    stiffness = diagnosis.shifts[2]
+    assert abs(stiffness.after - 400.0) < 4 * stiffness.standard_error < 8.0

@@ -2,6 +2,8 @@
 
 import threading
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 from jaxgray.numerics import side_by_side as module
@@ -22,3 +24,11 @@ def test_results_come_in_order_and_failures_reach_the_caller(monkeypatch):
     assert side_by_side(slow, []) == []
     with pytest.raises(ZeroDivisionError):
         side_by_side(lambda k: 1 / (3 - k), range(5))
+
+
+def test_what_is_set_for_one_thread_holds_for_its_parts(monkeypatch):
+    monkeypatch.setattr(module, "cores", lambda: 2)
+    kept = jax.config.jax_enable_x64
+    with jax.enable_x64(not kept):
+        found = side_by_side(lambda _: str(jnp.asarray(1.5).dtype), range(4))
+    assert found == ["float32" if kept else "float64"] * 4
