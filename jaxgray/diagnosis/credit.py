@@ -1,14 +1,15 @@
 """Findings on credit: the first of two that gain something only together.
 
-Where another effect is still missing, its traces pass for noise at the forces. Under such noise a refit follows the
-record step by step, and what it finds, right as it may be, brings no free run nearer. It is lent its place until a
-later finding redeems it, by a sure gain of both over the model before them; else it is withdrawn.
+Where another effect is still missing, its traces pass for noise at the forces, or for colour at the outputs. Under such
+noise a refit follows the record step by step, and what it finds, right as it may be, brings no free run nearer. It is
+lent its place until a later finding redeems it, by a sure gain of both over the model before them; else it is withdrawn.
 """
 
 import dataclasses
 
 import numpy as np
 
+from .begun_again import something_left
 from .bench import Bench
 from .extension import refit
 from .gain import gain_of
@@ -28,9 +29,11 @@ STEPS = 20
 
 
 def lendable(growth: Growth, ranked: list[Attempt]) -> bool:
-    """Whether a finding may be lent its place: something is clearly there, under noise at the forces."""
+    """Whether a finding may be lent its place: something is clearly there, under noise that another effect may be."""
     lent = 0 if growth.credit is None else len(growth.accepted) - growth.credit.sure
-    return bool(ranked) and lent < LOANS and ranked[0].chain.ratio > 0.0 and ranked[0].delta_bic > CLEAR
+    if not ranked or lent >= LOANS or not ranked[0].delta_bic > CLEAR:
+        return False
+    return something_left(ranked[0].chain)
 
 
 def by_free_run(bench: Bench, growth: Growth, attempt: Attempt) -> Attempt:

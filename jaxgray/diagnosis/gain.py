@@ -52,8 +52,8 @@ def gain_of(
     between = 0.0
     if held_out and seen is not None:
         fitted = _Pieces(seen, floor, 1)
-        between = abs(_left(fitted.percent(np.arange(len(fitted)))) - _left(percent))
-    interval = _interval(runs, floor, percent, between)
+        between = abs(float(fitted.left(np.arange(len(fitted))) - short.left(everything)))
+    interval = _interval(runs, floor, between)
     return Gain(pairs, percent, interval, float(np.quantile(draws, 0.01)), held_out)
 
 
@@ -78,28 +78,36 @@ class _Pieces:
         total = np.maximum(self.counts[index].sum(axis=-2), 1)
         return [np.sqrt(sums[index].sum(axis=-2) / total) for sums in self.sums]
 
+    def overall(self, index: Int[np.ndarray, "... drawn"]) -> list[Float[np.ndarray, "..."]]:
+        """Errors of all outputs in units of the floor, of every set of runs, over some pieces."""
+        return [np.maximum(np.sqrt(np.mean((rmse / self.floor) ** 2, axis=-1)), 1e-300) for rmse in self.rmse(index)]
+
     def percent(self, index: Int[np.ndarray, "... drawn"]) -> Float[np.ndarray, "..."]:
         """Gain over some pieces."""
-        before, after, baseline = (np.sqrt(np.mean((rmse / self.floor) ** 2, axis=-1)) for rmse in self.rmse(index))
-        return 100 * (before - after) / np.maximum(baseline, 1e-300)
+        before, after, baseline = self.overall(index)
+        return 100 * (before - after) / baseline
+
+    def left(self, index: Int[np.ndarray, "... drawn"]) -> Float[np.ndarray, "..."]:
+        """Logarithm of the share of the error that is left, over some pieces."""
+        before, after, _ = self.overall(index)
+        return np.log(np.maximum(after / before, 1e-3))
 
 
 def _cut(run: FreeRun, each: int) -> list[np.ndarray]:
     return np.array_split(np.flatnonzero(run.kept.any(axis=1)), each)
 
 
-def _interval(runs, floor, percent: float, between: float) -> tuple[float, float]:
+def _interval(runs, floor, between: float) -> tuple[float, float]:
     """95 % interval of the gain: of the logarithm of the error that is left, by the jackknife over long pieces, and its
     difference `between` records in squares."""
     spreads = []
     for wanted in LONG:
         pieces = _Pieces(runs, floor, max(1, -(-wanted // len(runs[0]))))
         everything = np.arange(len(pieces))
-        left = [_left(pieces.percent(np.delete(everything, k))) for k in everything]
+        left = [pieces.left(np.delete(everything, k)) for k in everything]
         spreads.append(np.sqrt((len(left) - 1) * np.var(left)))
     reach = np.hypot(float(scipy.special.stdtrit(LONG[0] - 1, 0.975)) * max(spreads), between)
-    return tuple(float(100 * (1 - np.exp(_left(percent) + side * reach))) for side in (1, -1))
-
-
-def _left(percent: float) -> float:
-    return float(np.log(max(1 - percent / 100, 1e-3)))
+    before, _, baseline = pieces.overall(everything)
+    return tuple(
+        float(100 * before / baseline * (1 - np.exp(pieces.left(everything) + side * reach))) for side in (1, -1)
+    )
