@@ -2,7 +2,7 @@
 
 Where another effect is still missing, its traces pass for noise at the forces, or for colour at the outputs. Under such
 noise a refit follows the record step by step, and what it finds, right as it may be, brings no free run nearer. It is
-lent its place until a later finding redeems it, by a sure gain of both over the model before them; else it is withdrawn.
+lent its place until a later finding redeems it, by a sure gain of both over the model before them, or it is withdrawn.
 """
 
 import dataclasses

@@ -223,21 +223,24 @@ def _next(X):
     return np.concatenate([X[:, 1:], X[:, -1:]], axis=1)
 
 
-def _responses(plant, columns, start, end, time, outputs, *, forced):
-    """Outputs of the plant for many inputs: `start`, `end` (columns × samples × channels), added forces or inputs."""
+def _responses(plant, columns, start, end, time, outputs, *, forced, seen=None):
+    """Outputs of the plant for many inputs: `start`, `end` (columns × samples × channels), added forces or inputs;
+    `seen`: those at the samples, None where they are `start`."""
     total = start.shape[0]
     made = np.empty((total, start.shape[1], outputs))
     for k in range(0, total, BATCH):
         part = slice(k, min(k + BATCH, total))
         pad = BATCH - (part.stop - part.start)
-        two = [np.pad(np.asarray(X)[part], ((0, pad), (0, 0), (0, 0))) for X in (start, end)]
-        y = _respond_many(plant, columns, *two, time, forced)
+        some = [
+            None if X is None else np.pad(np.asarray(X)[part], ((0, pad), (0, 0), (0, 0))) for X in (start, end, seen)
+        ]
+        y = _respond_many(plant, columns, *some, time, forced)
         made[part] = np.asarray(y)[: BATCH - pad, :, :outputs]
     return made
 
 
 @stored
-def _respond_many(plant, columns, start, end, time, forced):
+def _respond_many(plant, columns, start, end, seen, time, forced):
     system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, time)
     dofs = plant.mass.shape[0]
     if forced:
@@ -251,7 +254,8 @@ def _respond_many(plant, columns, start, end, time, forced):
     both = jnp.concatenate([start, end], axis=2)
     feed = jnp.concatenate([D, jnp.zeros_like(D)], axis=1)
     state = jnp.zeros(2 * dofs)
-    return jax.vmap(lambda w: respond(Ad, jnp.concatenate([B0, B1], axis=1), system.C, feed, w, state))(both)
+    y = jax.vmap(lambda w: respond(Ad, jnp.concatenate([B0, B1], axis=1), system.C, feed, w, state))(both)
+    return y if seen is None else y + (seen - start) @ D.T
 
 
 def _input_columns(shapes, plant, motion, data, outputs):
@@ -261,16 +265,17 @@ def _input_columns(shapes, plant, motion, data, outputs):
     held = start[:, j], end[:, j], data.traced_sampling_time
     changes = [_input_changes(law, stacked, *held) for law, stacked in zip(laws, vectors)]
     order = _in_order(shapes, laws, [c[0] for c in changes])
-    first, last = (np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in (0, 1))
+    first, last, seen = (np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in range(3))
+    seen = seen if "acceleration" in plant.measured else None
     column = np.eye(input_matrix_of(plant.drive).shape[1])[:, j : j + 1]
-    return _responses(plant, column, first, last, data.traced_sampling_time, outputs, forced=False)
+    return _responses(plant, column, first, last, data.traced_sampling_time, outputs, forced=False, seen=seen)
 
 
 @stored
 def _input_changes(law, vectors, start, end, time):
     def one(p):
         a, b = law.apply(p, start, end, time)
-        return a - start, b - end
+        return a - start, b - end, law.at_samples(p, start, end, start, time) - start
 
     return jax.vmap(one)(vectors)
 

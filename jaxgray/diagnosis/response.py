@@ -21,7 +21,7 @@ from ..mechanics.effects.base import (
     Place,
     Term,
 )
-from ..mechanics.extended import Plant, changed_plant, held_input, plant_motion, sensed, slots_of
+from ..mechanics.extended import Plant, changed_input, changed_plant, held_input, plant_motion, sensed, slots_of
 from ..mechanics.tangents import Directions, run_and_tangents
 from ..numerics.stored_programs import stored
 from .problem import Candidate, Data, Setup, estimated
@@ -87,33 +87,28 @@ def _plant_stage(entries, flat, matrices, drive, measured, terms):
 
 
 @stored
-def _input_stage(flat, u, end, sampling_time, terms):
-    """Input at start and end of every sample after the input terms, and its derivative by their values."""
+def _input_stage(flat, u, end, sampling_time, terms, count):
+    """Input at start and end of every sample and, where `count` is 3, at the samples, after the input terms, and its
+    derivative by their values."""
 
     def build(vector):
-        start, stop = u, end
-        for term in _filled(terms, vector):
-            j = term.place.first
-            a, b = term.effect.apply(term.values, start[:, j], stop[:, j], sampling_time)
-            start, stop = start.at[:, j].set(a), stop.at[:, j].set(b)
-        return start, stop
+        return changed_input(_filled(terms, vector), u, end, u, sampling_time)[:count]
 
     return build(flat), jax.jacfwd(build)(flat)
 
 
 @stored
-def _run(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps):
+def _run(plant, x0, start, end, seen, slots, sampling_time, laws, scheduling, substeps):
     return plant_motion(
-        plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
+        plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps, seen=seen
     )
 
 
 # Most of a refit's time goes here: compiled with full optimisation whatever `XLA_FLAGS` asks of everything else.
 @stored(compiler_options={"xla_backend_optimization_level": 3})
-def _run_and_derivative(plant, x0, start, end, slots, along, sampling_time, laws, scheduling, substeps):
-    return run_and_tangents(
-        plant, x0, start, end, slots, along, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps
-    )
+def _run_and_derivative(plant, x0, start, end, seen, slots, along, sampling_time, laws, scheduling, substeps):
+    more = {"laws": laws, "scheduling": scheduling, "substeps": substeps, "seen": seen}
+    return run_and_tangents(plant, x0, start, end, slots, along, sampling_time, **more)
 
 
 @stored
@@ -179,8 +174,11 @@ class Simulator:
         terms = _only(candidate.terms, AbstractInputEffect)
         start, end = held_input(data.u, data.hold)
         if not terms:
-            return (start, end), None
-        return _input_stage(_values(terms), start, end, data.traced_sampling_time, forms(terms))
+            return (start, end, None), None
+        # Nothing but an accelerometer sees the input itself.
+        count = 3 if "acceleration" in self.setup.measured else 2
+        now, slopes = _input_stage(_values(terms), start, end, data.traced_sampling_time, forms(terms), count)
+        return (*now, None)[:3], (*slopes, None)[:3]
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
         """Outputs of a candidate on one record, and on in the padding unless they run away there."""
@@ -196,8 +194,8 @@ class Simulator:
         return _ended(data, q), _ended(data, v)
 
     def _run(self, candidate: Candidate, data: Data, record: int):
-        plant, x0, start, end, slots, table = self._parts(candidate, data, record)[:6]
-        made = _run(plant, x0, start, end, slots, data.traced_sampling_time, table, data.scheduling, self._steps)
+        plant, x0, inputs, slots, table = self._parts(candidate, data, record)[:5]
+        made = _run(plant, x0, *inputs, slots, data.traced_sampling_time, table, data.scheduling, self._steps)
         return jax.device_get(made)
 
     @property
@@ -207,19 +205,19 @@ class Simulator:
 
     def _parts(self, candidate, data, record):
         plant, dplant = self._plant(candidate)
-        (start, end), dinput = self._inputs(candidate, data)
+        inputs, dinput = self._inputs(candidate, data)
         table = law_table(candidate.terms, self.laws)
         slots = slots_of(candidate.terms, plant, table)
         dofs, total = self.setup.dofs, plant.mass.shape[0]
         x0 = np.zeros(2 * total)
         x0[:dofs], x0[total : total + dofs] = np.split(candidate.x0[record], 2)
-        return plant, x0, start, end, slots, table, dplant, dinput
+        return plant, x0, inputs, slots, table, dplant, dinput
 
     def run_and_jacobian(
         self, candidate: Candidate, data: Data, record: int = 0
     ) -> tuple[Float[np.ndarray, "samples outputs"], Float[np.ndarray, "samples outputs parameters"]]:
         """Outputs, and their Jacobian by entries, this record's first state and the estimated values of all terms."""
-        plant, x0, start, end, slots, table, dplant, dinput = self._parts(candidate, data, record)
+        plant, x0, inputs, slots, table, dplant, dinput = self._parts(candidate, data, record)
         dofs, total = self.setup.dofs, plant.mass.shape[0]
         entries = len(candidate.entries)
         columns, series = [], []
@@ -269,14 +267,14 @@ class Simulator:
             else:
                 at["output"] += count
 
-        def derivative(columns, dstart, dend, count):
+        def derivative(columns, changes, count):
             rows = []
             for parts in zip(*columns):
                 rows.append(None if parts[0] is None else np.stack(parts))
-            along = Directions(*rows, dstart, dend)
+            along = Directions(*rows, *changes)
             along = jax.tree.map(lambda X: _pad(X, count), along)
             return _run_and_derivative(
-                plant, x0, start, end, slots, along, data.traced_sampling_time, table, data.scheduling, self._steps
+                plant, x0, *inputs, slots, along, data.traced_sampling_time, table, data.scheduling, self._steps
             )
 
         if slots is None:
@@ -285,12 +283,12 @@ class Simulator:
             # As if every parameter of the table's laws were estimated, so that one program serves them all.
             forces = _only(candidate.terms, AbstractForceEffect)
             count = len(columns) - sum(len(estimated(term)) for term in forces) + slots.values.size
-        y, J = derivative(columns, None, None, count)
+        y, J = derivative(columns, (), count)
         parts = [np.asarray(J)[:, :dofs, : len(columns)]]
         if series:
-            dstart, dend = (np.moveaxis(np.asarray(d)[..., series], -1, 0) for d in dinput)
+            changes = [None if d is None else np.moveaxis(np.asarray(d)[..., series], -1, 0) for d in dinput]
             still = [column() for _ in series]
-            _, J = derivative(still, dstart, dend, _rounded(len(series)))
+            _, J = derivative(still, changes, _rounded(len(series)))
             parts.append(np.asarray(J)[:, :dofs, : len(series)])
         y, J = np.asarray(y)[:, :dofs], np.concatenate(parts, axis=2)
         terms = _only(candidate.terms, AbstractOutputEffect)

@@ -55,13 +55,13 @@ class StaticFit:
 
 
 @stored
-def _applied(effect, p, start, end, time):
-    return effect.apply(p, start, end, time)
+def _applied(effect, p, start, end, seen, time):
+    return *effect.apply(p, start, end, time), effect.at_samples(p, start, end, seen, time)
 
 
 @stored
-def _slopes(effect, p, start, end, time):
-    return jax.jacfwd(lambda p: effect.apply(p, start, end, time)[0])(p)
+def _slopes(effect, p, start, end, seen, time):
+    return jax.jacfwd(lambda p: effect.at_samples(p, start, end, seen, time))(p)
 
 
 def settled(record: Record) -> int:
@@ -85,16 +85,17 @@ class Static:
 
     def inputs(self, terms: tuple[Term, ...], record: Record):
         """The input with all effects, and its slopes by every estimated value: which input, and the series."""
-        start, end = held_input(jnp.asarray(record.u), record.hold)
+        # So slow that between samples it is straight, whatever holds it there.
+        held = [*held_input(jnp.asarray(record.u), "linear"), jnp.asarray(record.u)]
         time = jnp.asarray(record.sampling_time)
         slopes = []
         for term in terms:
             j, p = term.place.first, jnp.asarray(term.values, dtype=float)
-            made = np.asarray(_slopes(term.effect, p, start[:, j], end[:, j], time))
+            one = [x[:, j] for x in held]
+            made = np.asarray(_slopes(term.effect, p, *one, time))
             slopes += [(j, made[:, k]) for k in estimated(term)]
-            a, b = _applied(term.effect, p, start[:, j], end[:, j], time)
-            start, end = start.at[:, j].set(a), end.at[:, j].set(b)
-        return np.asarray(start), slopes
+            held = [x.at[:, j].set(new) for x, new in zip(held, _applied(term.effect, p, *one, time))]
+        return np.asarray(held[2]), slopes
 
     def run(self, fit: StaticFit) -> list[FreeRun]:
         """What a fit makes of the records."""

@@ -50,21 +50,24 @@ def plant_run(
     laws: tuple[AbstractForceEffect, ...] = (),
     scheduling: Float[Array, " samples"] | None = None,
     substeps: int | Array = 1,
+    seen: Float[Array, "samples inputs"] | None = None,
 ) -> Float[Array, "samples outputs"]:
     """Outputs of the plant with forces added.
 
     **Arguments:** `plant`; `x0`: (q, q̇) at the first sample; `start`, `end`: input at the beginning and end of every
     sample; `slots`: the forces, None without; `sampling_time` [s]; `laws`: table that `slots.law` points into;
-    `scheduling`: channel some laws read; `substeps`: steps per sample.
+    `scheduling`: channel some laws read; `substeps`: steps per sample; `seen`: input at the samples, where
+    accelerations take it directly, None where that is `start`.
 
     **Returns:** the outputs, one row a sample.
     """
     if slots is None:
         system, (Ad, B, first, both) = _linear(plant, x0, start, end, sampling_time)
         feed = jnp.concatenate([system.D, jnp.zeros_like(system.D)], axis=1)
-        return respond(Ad, B, system.C, feed, both, first)
+        y = respond(Ad, B, system.C, feed, both, first)
+        return y if seen is None else y + (seen - start) @ system.D.T
     x, f, h = _forced(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps)
-    return outputs_of(plant, slots, x, f, start, h)
+    return outputs_of(plant, slots, x, f, start if seen is None else seen, h)
 
 
 def _linear(plant: Plant, x0, start, end, sampling_time):
@@ -84,15 +87,15 @@ def _forced(plant: Plant, x0, start, end, slots: Slots, sampling_time, laws, sch
     return x, f, h
 
 
-def outputs_of(plant: Plant, slots: Slots | None, x, f, start, h) -> Float[Array, "samples outputs"]:
+def outputs_of(plant: Plant, slots: Slots | None, x, f, seen, h) -> Float[Array, "samples outputs"]:
     """Outputs from the states (q, T q̇), forces and inputs at every sample; `h` [s]: the T of the states."""
     system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, h)
-    y = x @ system.C.T + start @ system.D.T
+    y = x @ system.C.T + seen @ system.D.T
     return y if slots is None else y + f @ direct(plant, slots.arms).T
 
 
 def plant_motion(
-    plant: Plant, x0, start, end, slots: Slots | None, sampling_time, *, laws=(), scheduling=None, substeps=1
+    plant: Plant, x0, start, end, slots: Slots | None, sampling_time, *, laws=(), scheduling=None, substeps=1, seen=None
 ) -> tuple[Float[Array, "samples outputs"], Float[Array, "samples dofs"], Float[Array, "samples dofs"]]:
     """Outputs, and displacements and velocities of all coordinates; arguments as for `plant_run`."""
     if slots is None:
@@ -102,7 +105,11 @@ def plant_motion(
     else:
         x, f, h = _forced(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps)
     C, D = local_rows(plant, jnp.eye(plant.mass.shape[0]), h)
-    return outputs_of(plant, slots, x, f, start, h), x @ C[0].T + start @ D[0].T, x @ C[1].T + start @ D[1].T
+    return (
+        outputs_of(plant, slots, x, f, start if seen is None else seen, h),
+        x @ C[0].T + start @ D[0].T,
+        x @ C[1].T + start @ D[1].T,
+    )
 
 
 def held_input(u: Float[Array, "samples inputs"], hold: str) -> tuple[Array, Array]:
@@ -184,12 +191,7 @@ def extended_run(
 
     **Returns:** the outputs. Traceable and differentiable by every array.
     """
-    start, end = held_input(u, hold)
-    for term in terms:
-        if isinstance(term.effect, AbstractInputEffect):
-            j = term.place.first
-            a, b = term.effect.apply(term.values, start[:, j], end[:, j], sampling_time)
-            start, end = start.at[:, j].set(a), end.at[:, j].set(b)
+    start, end, seen = changed_input(terms, *held_input(u, hold), u, sampling_time)
     outputs = len(plant.measured)
     plant = changed_plant(plant, terms)
     laws = tuple(dict.fromkeys(t.effect for t in terms if isinstance(t.effect, AbstractForceEffect)))
@@ -204,11 +206,25 @@ def extended_run(
         laws=laws,
         scheduling=scheduling,
         substeps=substeps if laws else 1,
+        seen=seen,
     )[:, :outputs]
     for term in terms:
         if isinstance(term.effect, AbstractOutputEffect):
             y = sensed(term, y, u, sampling_time)
     return y
+
+
+def changed_input(terms: tuple[Term, ...], start, end, seen, sampling_time) -> tuple[Array, Array, Array]:
+    """Input at start and end of every sample and at the samples (samples × inputs), after all effects on it."""
+    start, end, seen = (jnp.asarray(x) for x in (start, end, seen))
+    on_input = [term for term in terms if isinstance(term.effect, AbstractInputEffect)]
+    for term in sorted(on_input, key=lambda term: not term.effect.early):
+        j, p = term.place.first, term.values
+        one = start[:, j], end[:, j]
+        seen = seen.at[:, j].set(term.effect.at_samples(p, *one, seen[:, j], sampling_time))
+        a, b = term.effect.apply(p, *one, sampling_time)
+        start, end = start.at[:, j].set(a), end.at[:, j].set(b)
+    return start, end, seen
 
 
 def sensed(term: Term, y: Float[Array, "samples outputs"], u: Float[Array, "samples inputs"], sampling_time) -> Array:

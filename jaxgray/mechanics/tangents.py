@@ -23,7 +23,8 @@ class Directions(eqx.Module):
     """Along what a run is differentiated, one direction a row.
 
     Changes of `mass`, `damping`, `stiffness`, of the first state `x0` (q, q̇), of the forces' `values` (None without
-    forces), and of the input at `start` and `end` of every sample (None where it does not change).
+    forces), and of the input at `start` and `end` of every sample and at the samples as accelerations see it (`seen`),
+    None where it does not change.
     """
 
     mass: Float[Array, "directions dofs dofs"]
@@ -33,6 +34,7 @@ class Directions(eqx.Module):
     values: Float[Array, "directions slots parameters"] | None
     start: Float[Array, "directions samples inputs"] | None = None
     end: Float[Array, "directions samples inputs"] | None = None
+    seen: Float[Array, "directions samples inputs"] | None = None
 
     def moved(self, plant: Plant) -> Plant:
         """The plant after one direction's change."""
@@ -57,6 +59,7 @@ def run_and_tangents(
     laws: tuple[AbstractForceEffect, ...] = (),
     scheduling: Float[Array, " samples"] | None = None,
     substeps: int | Array = 1,
+    seen: Float[Array, "samples inputs"] | None = None,
 ) -> tuple[Float[Array, "samples outputs"], Float[Array, "samples outputs directions"]]:
     """Outputs of the plant with forces added, and their derivatives.
 
@@ -69,7 +72,8 @@ def run_and_tangents(
         def run(change):
             first = start if change.start is None else start + change.start
             second = end if change.end is None else end + change.end
-            return plant_run(change.moved(plant), x0 + change.x0, first, second, None, sampling_time)
+            third = seen if seen is None or change.seen is None else seen + change.seen
+            return plant_run(change.moved(plant), x0 + change.x0, first, second, None, sampling_time, seen=third)
 
         return _along(run, along)
     T = jnp.asarray(sampling_time)
@@ -91,8 +95,8 @@ def run_and_tangents(
     df = jnp.einsum("kij,kjp->kip", F[:, states:], d) + G[:, states:]
 
     def outputs(change, x, f):
-        held = start if change.start is None else start + change.start
-        return outputs_of(change.moved(plant), slots, x, f, held, h)
+        now, moves = (start, change.start) if seen is None else (seen, change.seen)
+        return outputs_of(change.moved(plant), slots, x, f, now if moves is None else now + moves, h)
 
     still = _zero(along)
     y = outputs(still, x, f)

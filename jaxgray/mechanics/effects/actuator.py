@@ -101,6 +101,13 @@ def lagged(start, end, lag):
     return line[:, 0] - 0.5 * line[:, 1], line[:, 0] + 0.5 * line[:, 1]
 
 
+def lag_state(start, end, lag):
+    """An input through a first-order lag of `lag` samples, at the samples."""
+    A, B = lag_step(jnp.asarray(lag, dtype=start.dtype))
+    eye, none = jnp.eye(1, dtype=start.dtype), jnp.zeros((1, 2), dtype=start.dtype)
+    return respond(A, B, eye, none, jnp.stack([start, end - start], axis=1), start[:1])[:, 0]
+
+
 class InputDelay(AbstractInputEffect):
     """The force comes later than the command."""
 
@@ -118,6 +125,15 @@ class InputDelay(AbstractInputEffect):
 
     def apply(self, p, start, end, time):
         return late(start, end, p[0] / time)
+
+    def at_samples(self, p, start, end, seen, time):
+        steps = p[0] / time
+        whole = jnp.clip(jnp.floor(steps), 0, len(start))
+        part = steps - whole
+        at = jnp.arange(len(start)) + len(start) + 1 - whole.astype(int)
+        before = jnp.full(len(start) + 1, start[0])
+        a, b, now = (jnp.concatenate([before, x]) for x in (start, end, seen))
+        return jnp.where(part > 0, b[at - 1] + part * (a - b)[at - 1], now[at])
 
 
 class ActuatorLag(AbstractInputEffect):
@@ -138,13 +154,18 @@ class ActuatorLag(AbstractInputEffect):
     def apply(self, p, start, end, time):
         return lagged(start, end, p[0] / time)
 
+    def at_samples(self, p, start, end, seen, time):
+        return lag_state(start, end, p[0] / time)
+
 
 class IntersampleHold(AbstractInputEffect):
     """The input between samples is not held as said.
 
     Under a zero-order hold linear_share = 1 stands for a linear hold; a record under a linear hold (start and end
-    of a sample differ) is moved the other way, 1 standing for a zero-order hold.
+    of a sample differ) is moved the other way, 1 standing for a zero-order hold. What comes after it is late or bent.
     """
+
+    early = True
 
     id = "intersample_hold"
     family = "actuator"
@@ -162,6 +183,9 @@ class IntersampleHold(AbstractInputEffect):
         following = jnp.concatenate([start[1:], start[-1:]])
         other = jnp.where(jnp.any(start != end), start, following)
         return start, end + p[0] * (other - end)
+
+    def at_samples(self, p, start, end, seen, time):
+        return seen
 
 
 class InputSaturation(AbstractInputEffect):
@@ -281,6 +305,9 @@ class ActuatorCreep(AbstractInputEffect):
     def apply(self, p, start, end, time):
         slow_start, slow_end = lagged(start, end, p[1] / time)
         return start + p[0] * slow_start, end + p[0] * slow_end
+
+    def at_samples(self, p, start, end, seen, time):
+        return seen + p[0] * lag_state(start, end, p[1] / time)
 
 
 class InputPositionGain(AbstractForceEffect):

@@ -194,8 +194,11 @@ class AbstractForceEffect(AbstractEffect):
 class AbstractInputEffect(AbstractEffect):
     """A change of one input on its way to the plant.
 
-    The input over sample k runs from start[k] to end[k] in a straight line (equal under a zero-order hold).
+    The input over sample k runs from start[k] to end[k] in a straight line (equal under a zero-order hold). `early`:
+    whether it comes before all others.
     """
+
+    early: ClassVar[bool] = False
 
     @abc.abstractmethod
     def apply(
@@ -206,6 +209,18 @@ class AbstractInputEffect(AbstractEffect):
         time: Array,
     ) -> tuple[Float[Array, " samples"], Float[Array, " samples"]]:
         """The changed input, given the sampling `time` [s]. Traced, differentiable by p."""
+
+    def at_samples(
+        self,
+        p: Float[Array, " parameters"],
+        start: Float[Array, " samples"],
+        end: Float[Array, " samples"],
+        seen: Float[Array, " samples"],
+        time: Array,
+    ) -> Float[Array, " samples"]:
+        """The changed input at the samples themselves, where an accelerometer sees it; `seen`: the input there. What
+        `apply` gives are straight lines over the samples, whose ends may be off it."""
+        return self.apply(p, seen, seen, time)[0]
 
 
 class AbstractOutputEffect(AbstractEffect):
