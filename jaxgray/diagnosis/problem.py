@@ -128,6 +128,15 @@ class Candidate:
         return dataclasses.replace(self, terms=tuple(terms))
 
 
+OF_FIRST = frozenset(("periodic_disturbance",))
+"""Effects of the first record alone: what hums has another phase in every record."""
+
+
+def of_record(candidate: Candidate, record: int) -> list[bool]:
+    """Which terms of a candidate act in a record of the fit, by its position."""
+    return [record == 0 or term.effect.id not in OF_FIRST for term in candidate.terms]
+
+
 def estimated(term: Term) -> list[int]:
     """Positions of the parameters of a term that a fit moves."""
     return [k for k, parameter in enumerate(term.effect.parameters) if parameter.counts]

@@ -24,7 +24,7 @@ from ..mechanics.effects.base import (
 from ..mechanics.extended import Plant, changed_input, changed_plant, held_input, plant_motion, sensed, slots_of
 from ..mechanics.tangents import Directions, run_and_tangents
 from ..numerics.stored_programs import stored
-from .problem import Candidate, Data, Setup, estimated
+from .problem import Candidate, Data, Setup, estimated, of_record
 
 RUN_AWAY = 1e3
 """Motion in the padding, relative to that in the record, beyond which it counts as none."""
@@ -182,6 +182,7 @@ class Simulator:
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
         """Outputs of a candidate on one record, and on in the padding unless they run away there."""
+        candidate = _acting(candidate, record)
         y = self._run(candidate, data, record)[0][:, : self.setup.dofs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
@@ -190,6 +191,7 @@ class Simulator:
 
     def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Displacements and velocities of all coordinates on one record, and on in the padding likewise."""
+        candidate = _acting(candidate, record)
         q, v = self._run(candidate, data, record)[1:]
         return _ended(data, q), _ended(data, v)
 
@@ -217,6 +219,15 @@ class Simulator:
         self, candidate: Candidate, data: Data, record: int = 0
     ) -> tuple[Float[np.ndarray, "samples outputs"], Float[np.ndarray, "samples outputs parameters"]]:
         """Outputs, and their Jacobian by entries, this record's first state and the estimated values of all terms."""
+        acting = of_record(candidate, record)
+        if not all(acting):
+            y, J = self.run_and_jacobian(_acting(candidate, record), data, record)
+            counts = [len(estimated(term)) for term in candidate.terms]
+            linear = J.shape[2] - sum(count for count, on in zip(counts, acting) if on)
+            moves = np.repeat([True, *acting], [linear, *counts])
+            wide = np.zeros((*J.shape[:2], len(moves)))
+            wide[:, :, moves] = J
+            return y, wide
         plant, x0, inputs, slots, table, dplant, dinput = self._parts(candidate, data, record)
         dofs, total = self.setup.dofs, plant.mass.shape[0]
         entries = len(candidate.entries)
@@ -304,6 +315,12 @@ class Simulator:
             extra[..., k] if kind == "output" else J[..., k if kind == "plant" else first + k] for kind, k in order
         ]
         return _ended(data, y), _ended(data, np.stack(picked, axis=-1))
+
+
+def _acting(candidate: Candidate, record: int) -> Candidate:
+    """A candidate with the terms that act in a record."""
+    acting = of_record(candidate, record)
+    return candidate if all(acting) else candidate.with_terms(t for t, on in zip(candidate.terms, acting) if on)
 
 
 def _ended(data: Data, X) -> np.ndarray:

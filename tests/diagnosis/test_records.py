@@ -101,3 +101,22 @@ def test_a_sample_between_missing_ones_is_judged_by_those_that_are_known():
     e[first - 8 : first + 9] = e[last - 8 : last + 9] = np.nan
     e[[first, last]] = 2.5, 25.0
     assert list(standing_out(e)) == [last]
+
+
+def test_a_hum_has_another_phase_in_every_record():
+    rng = np.random.default_rng(9)
+    system = System(np.array([[1.0]]), np.array([[2.0]]), np.array([[400.0]]))
+
+    def record(phase):
+        u = hidden.draws.excitation(rng, "noise", SAMPLES, np.array([15.0]))
+        hum = Effect("periodic_disturbance", "y1", {"A": 6.0, "frequency_hz": 4.7, "phase": phase})
+        y = hidden.simulate(system, u, 0.02, [hum])
+        return jaxgray.Record(u, y + 0.02 * y.std() * rng.standard_normal(y.shape), 0.02)
+
+    records = [record(phase) for phase in (0.3, 0.3 + np.pi, 1.1)]
+    diagnosis = jaxgray.diagnose(records, only=["periodic_disturbance", "constant_force"])
+    (found,) = model_findings(diagnosis)
+    assert found.effect == "periodic_disturbance", str(diagnosis)
+    for name, true in (("A", 6.0), ("frequency_hz", 4.7)):
+        estimate = found.parameters[name]
+        assert abs(estimate.value - true) < 4 * estimate.standard_error < 0.2 * true, str(diagnosis)
