@@ -28,6 +28,7 @@ from .result import (
 )
 from .screening import Screening
 from .thresholds import at_one_threshold, elements_of
+from .words import title_of
 
 
 def unit_text(powers: tuple[int, int, int], force: str, length: str) -> str:
@@ -261,3 +262,18 @@ def curves_of(bench: Bench, growth: Growth, records: list[Record], held: list[Re
 def accepted_names(accepted: list[Accepted]) -> frozenset:
     """Effects and places that were accepted."""
     return frozenset(a.attempt.name for a in accepted)
+
+
+def open_scale(growth: Growth, setup: Setup, names: tuple[str, ...]) -> tuple[str, ...]:
+    """A warning where M, D, K and a law can change together and nothing shows it."""
+    loose = None if not growth.accepted else growth.fit.undetermined
+    if loose is None or not np.any(loose[: len(growth.fit.candidate.entries)]):
+        return ()
+    layout = Layout(setup, growth.fit.candidate)
+    owners = {k for (k, _), on in zip(layout.terms, loose[layout.first :]) if on}
+    laws = [title_of(t.effect.id, t.place.name, names) for k, t in enumerate(growth.fit.candidate.terms) if k in owners]
+    beside = f" beside {' and '.join(laws)}" if laws else ""
+    return (
+        f"This record does not determine all of M, D, K{beside}: their standard errors leave out a direction in which "
+        "nothing shows. Fix an entry that you know.",
+    )

@@ -22,6 +22,7 @@ from .assembly import (
     matrix_errors,
     model_of,
     not_found_of,
+    open_scale,
     shifts_of,
     summary_of,
 )
@@ -259,7 +260,8 @@ def _assembled(
         verdict = "partly" if mends_model else "unexplained"
     else:
         verdict = "equivalent" if "equivalent" in model_findings else "named" if model_findings else "noise"
-    warnings = () if identification is None else _own_warnings(identification, growth)
+    warnings = open_scale(growth, setup, names)
+    warnings += () if identification is None else _own_warnings(identification, growth)
     taken = accepted_names(growth.accepted)
     return Diagnosis(
         verdict=verdict,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..identification.conic import MASS_FLOOR, pseudo_inverse, step_inside
+from ..identification.conic import MASS_FLOOR, pseudo_inverse, step_inside, undetermined
 from ..mechanics.effects.base import Term
 from ..numerics.positive import ClarabelSolver
 from .equations import Equations
@@ -38,7 +38,8 @@ class Refit:
 
     `candidate`; `residual` e of every record (zero where missing) and `jacobian` J of the simulated outputs by the
     entries, that record's first state, and the values term by term; `covariance` of all parameters; `cost`: sum of
-    squared whitened errors; `count`: output samples that count; `steps`; `converged`; `started`: `cost` at the start.
+    squared whitened errors; `count`: output samples that count; `steps`; `converged`; `started`: `cost` at the start;
+    `undetermined`: parameters that some direction moves which nothing determines, and which `covariance` leaves out.
     """
 
     candidate: Candidate
@@ -50,6 +51,7 @@ class Refit:
     steps: int
     converged: bool
     started: float = np.inf
+    undetermined: Bool[np.ndarray, " parameters"] | None = None
 
 
 class Layout:
@@ -270,7 +272,9 @@ def refit(
     moving = ~masks[2]
     covariance = np.zeros_like(H)
     covariance[np.ix_(moving, moving)] = pseudo_inverse(H[np.ix_(moving, moving)]) * variance
-    return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started)
+    loose = moving.copy()
+    loose[moving] = undetermined(H[np.ix_(moving, moving)])
+    return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started, loose)
 
 
 def _decrement(change, H, g) -> float:

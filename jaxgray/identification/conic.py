@@ -24,6 +24,10 @@ NOTHING = 1e-7
 """The same for a step that is not even taken: it would move no parameter by a thousandth of its standard error."""
 
 
+SHARED = 0.01
+"""Squared part of a variable in null directions from which these move it."""
+
+
 class ConicEnd(eqx.Module):
     """Where the iteration ended."""
 
@@ -42,6 +46,15 @@ def pseudo_inverse(H: np.ndarray, threshold: float = 1e-13) -> np.ndarray:
     kept = values > threshold * max(values[-1], 1e-300) * len(values)
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     return inverse / scale[:, None] / scale[None, :]
+
+
+def undetermined(H: np.ndarray, threshold: float = 1e-13) -> np.ndarray:
+    """Variables that a null direction moves, one that `pseudo_inverse` leaves out: nothing says where they are."""
+    scale = np.sqrt(np.maximum(np.diag(H), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(H / scale[:, None] / scale[None, :])
+    null = vectors[:, values <= threshold * max(values[-1], 1e-300) * len(values)]
+    return np.sum(null**2, axis=1) > SHARED
 
 
 def step_inside(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxgray.identification.conic import step_inside
+from jaxgray.identification.conic import step_inside, undetermined
 from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares
 
 SIZES = (2, 1, 1, 1)
@@ -35,3 +35,10 @@ def test_numbers_that_stop_at_their_floors_take_no_interior_point():
         np.testing.assert_allclose(step, right, atol=1e-9)
         assert not np.any(step[held])
     assert stopped > 40 and asked > 10
+
+
+def test_what_a_null_direction_moves_is_undetermined():
+    rows = np.random.default_rng(4).standard_normal((5, 40))
+    rows[1] = 3 * rows[0]
+    rows[4] = 0.0
+    assert list(undetermined(rows @ rows.T)) == [True, True, False, False, True]
