@@ -101,10 +101,18 @@ def _joined(size: Estimate, threshold: Estimate) -> tuple[Estimate, Estimate]:
 
 
 def term_errors(fit: Refit, setup: Setup, index: int) -> dict[int, float]:
-    """Standard errors of one term's parameters, by position."""
-    layout = Layout(setup, fit.candidate)
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    return {j: float(errors[layout.first + at]) for at, (k, j) in enumerate(layout.terms) if k == index}
+    """Standard errors of one term's parameters, by position. Of elements at one threshold only the sum of their sizes
+    and the mean of their thresholds is determined, whose errors they share."""
+    layout, term = Layout(setup, fit.candidate), fit.candidate.terms[index]
+    at = {j: layout.first + position for position, (k, j) in enumerate(layout.terms) if k == index}
+    errors = {j: float(np.sqrt(max(fit.covariance[here, here], 0.0))) for j, here in at.items()}
+    elements = elements_of(term.effect)
+    for group in at_one_threshold([float(term.values[threshold]) for _, threshold in elements]):
+        for own in zip(*(elements[k] for k in group)) if len(group) > 1 else ():
+            rows = [at[j] for j in own]
+            shared = float(np.sqrt(max(fit.covariance[np.ix_(rows, rows)].sum(), 0.0))) / len(own)
+            errors |= dict.fromkeys(own, shared)
+    return errors
 
 
 def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, ...]:

@@ -101,6 +101,17 @@ def test_a_threshold_too_many_does_not_pass_for_a_gain():
     assert abs(mass - case.system.M[0, 0]) < 5 * error < 0.1 * mass
 
 
+def test_elements_whose_thresholds_all_but_meet_share_an_error():
+    # Their difference is all but undetermined; what they are together is as well determined as one element.
+    rng = np.random.default_rng([98001, 0, zlib.crc32(b"play_hysteresis"), 1])
+    case = hidden.random_case(rng, "play_hysteresis", excess=(1.5, 4.0), samples=4000, dofs=(1, 2, 3))
+    diagnosis = diagnosed(case, only=["play_hysteresis"])
+    (found,) = model_findings(diagnosis)
+    for name, true in case.effects[0].parameters.items():
+        value, error = (np.array(x) for x in (found.parameters[name].value, found.parameters[name].standard_error))
+        assert np.all(np.abs(value - true) < 4 * error) and np.all(error < 0.1 * value), str(diagnosis)
+
+
 def test_only_sums_of_like_elements_are_begun_from_other_thresholds():
     assert {effect.id for effect in CATALOGUE if elements_of(effect)} == {"play_hysteresis", "maxwell_slip_hysteresis"}
 
