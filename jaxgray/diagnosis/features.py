@@ -262,20 +262,24 @@ def _input_columns(shapes, plant, motion, data, outputs):
     j = shapes[0].place.first
     laws, vectors = _columns(shapes)
     start, end = held_input(data.u, data.hold)
-    held = start[:, j], end[:, j], data.traced_sampling_time
+    # Nothing but an accelerometer sees the input itself.
+    direct = "acceleration" in plant.measured
+    held = start[:, j], end[:, j], data.traced_sampling_time, direct
     changes = [_input_changes(law, stacked, *held) for law, stacked in zip(laws, vectors)]
     order = _in_order(shapes, laws, [c[0] for c in changes])
-    first, last, seen = (np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in range(3))
-    seen = seen if "acceleration" in plant.measured else None
+    count = 3 if direct else 2
+    made = [np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in range(count)]
     column = np.eye(input_matrix_of(plant.drive).shape[1])[:, j : j + 1]
+    first, last, seen = (*made, None)[:3]
     return _responses(plant, column, first, last, data.traced_sampling_time, outputs, forced=False, seen=seen)
 
 
 @stored
-def _input_changes(law, vectors, start, end, time):
+def _input_changes(law, vectors, start, end, time, direct):
     def one(p):
         a, b = law.apply(p, start, end, time)
-        return a - start, b - end, law.at_samples(p, start, end, start, time) - start
+        both = a - start, b - end
+        return (*both, law.at_samples(p, start, end, start, time) - start) if direct else both
 
     return jax.vmap(one)(vectors)
 
