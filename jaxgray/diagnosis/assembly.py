@@ -274,10 +274,11 @@ def accepted_names(accepted: list[Accepted]) -> frozenset:
 
 def open_scale(growth: Growth, setup: Setup, names: tuple[str, ...]) -> tuple[str, ...]:
     """A warning where M, D, K and a law can change together and nothing shows it."""
-    loose = None if not growth.accepted else growth.fit.undetermined
-    if loose is None or not np.any(loose[: len(growth.fit.candidate.entries)]):
+    if not growth.accepted:
         return ()
-    layout = Layout(setup, growth.fit.candidate)
+    layout, loose = Layout(setup, growth.fit.candidate), growth.fit.undetermined
+    if not np.any(loose[: layout.entries]):
+        return ()
     owners = {k for (k, _), on in zip(layout.terms, loose[layout.first :]) if on}
     laws = [title_of(t.effect.id, t.place.name, names) for k, t in enumerate(growth.fit.candidate.terms) if k in owners]
     beside = f" beside {' and '.join(laws)}" if laws else ""

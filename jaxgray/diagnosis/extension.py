@@ -50,8 +50,8 @@ class Refit:
     count: int
     steps: int
     converged: bool
-    started: float = np.inf
-    undetermined: Bool[np.ndarray, " parameters"] | None = None
+    started: float
+    undetermined: Bool[np.ndarray, " parameters"]
 
 
 class Layout:

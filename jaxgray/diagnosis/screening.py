@@ -136,7 +136,7 @@ def _penalty(shape: Shape, rows: int) -> float:
 def allowed(shape: Shape, weights: np.ndarray) -> bool:
     """Whether the effect can be of this sign: some amplitude is left inside its physical bounds."""
     lower, upper, amplitudes = limits(type(shape.effect))
-    values = np.clip(shape.effect.combine(shape.values, weights), lower, upper)
+    values = shape.effect.combine(shape.values, weights)
     return not len(amplitudes) or bool(np.any((lower < values)[amplitudes] & (values < upper)[amplitudes]))
 
 

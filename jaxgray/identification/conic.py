@@ -40,21 +40,23 @@ class ConicEnd(eqx.Module):
 
 def pseudo_inverse(H: np.ndarray, threshold: float = 1e-13) -> np.ndarray:
     """Inverse of a positive semidefinite matrix, scaled to unit diagonal, without its null directions."""
-    scale = np.sqrt(np.maximum(np.diag(H), 0.0))
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(H / scale[:, None] / scale[None, :])
-    kept = values > threshold * max(values[-1], 1e-300) * len(values)
+    scale, values, vectors, kept = _directions(H, threshold)
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     return inverse / scale[:, None] / scale[None, :]
 
 
 def undetermined(H: np.ndarray, threshold: float = 1e-13) -> np.ndarray:
     """Variables that a null direction moves, one that `pseudo_inverse` leaves out: nothing says where they are."""
+    _, _, vectors, kept = _directions(H, threshold)
+    return np.sum(vectors[:, ~kept] ** 2, axis=1) > SHARED
+
+
+def _directions(H: np.ndarray, threshold: float):
+    """Scale to unit diagonal, eigenvalues and eigenvectors of the scaled matrix, and which are no null directions."""
     scale = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(H / scale[:, None] / scale[None, :])
-    null = vectors[:, values <= threshold * max(values[-1], 1e-300) * len(values)]
-    return np.sum(null**2, axis=1) > SHARED
+    return scale, values, vectors, values > threshold * max(values[-1], 1e-300) * len(values)
 
 
 def step_inside(
