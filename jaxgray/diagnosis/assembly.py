@@ -6,7 +6,7 @@ import numpy as np
 from ..identification.validation import fit_of
 from ..mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term
 from ..mechanics.model import MechanicalModel
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import ONCE, stored
 from ..records import Record
 from .belief import residual_rms
 from .bench import Bench
@@ -161,7 +161,7 @@ def model_of(candidate: Candidate, like: MechanicalModel, setup: Setup) -> Mecha
     )
 
 
-@stored
+@stored(level=ONCE)
 def _slopes(matrices, entries):
     return jax.jacfwd(matrices)(entries)
 

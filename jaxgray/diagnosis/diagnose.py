@@ -30,6 +30,7 @@ from .baseline import ADOPTED, baseline_of, independent_floor
 from .belief import residual_rms
 from .bench import Bench
 from .competitor import FlexibleForce
+from .compiling import compiling_ahead
 from .experiment import next_experiment
 from .gain import gain_of
 from .grown import Growth
@@ -47,6 +48,8 @@ from .refitting import explainable_share
 from .response import Simulator
 from .result import Diagnosis, Finding
 from .routes import begin
+
+FORCES = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
 
 MISFIT = 1e-8
 """Probability of the structure test from which a linear model that nothing was added to has not explained all."""
@@ -122,7 +125,8 @@ def diagnose(
     if model is not None:
         searched = MODEL_ERRORS + searched
     used, unseen = [without_defects(r) for r in records], [without_defects(r) for r in held]
-    found = _of_clean_records(used, unseen, separate, model, searched, max_effects, seed, progress, options)
+    with compiling_ahead(used, FORCES, searched, model, options):
+        found = _of_clean_records(used, unseen, separate, model, searched, max_effects, seed, progress, options)
     cleaned = [*used, *found.records]
     messages = [{finding.message for one in group for finding in preflight(one)} for group in (records, cleaned)]
     return dataclasses.replace(
@@ -160,11 +164,10 @@ def _of_clean_records(
         records, held = from_zero[: len(records)], from_zero[len(records) :]
     baseline = baseline_of(records, identification, model)
     floor, source = independent_floor(records[0])
-    laws = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
     data = [Data.of(r) for r in records]
     longest = max(len(d.u) for d in data)
     bench = Bench(
-        Simulator(baseline.setup, laws),
+        Simulator(baseline.setup, FORCES),
         data,
         [Data.of(r, longest) for r in held],
         searched,

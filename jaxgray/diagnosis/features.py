@@ -28,7 +28,8 @@ from ..mechanics.extended import Plant, arm_of, held_input, input_matrix_of, loc
 from ..mechanics.force_over_time import force_over_time
 from ..mechanics.statespace import hold_matrices
 from ..numerics.lifting import respond
-from ..numerics.stored_programs import stored
+from ..numerics.side_by_side import side_by_side
+from ..numerics.stored_programs import ONCE, stored
 from .problem import Data
 
 BATCH = 16
@@ -129,10 +130,14 @@ def features(
     samples = len(data.u)
     first = np.concatenate([[0], np.cumsum([len(s.basis) for s in all_shapes])])[:-1]
     responses = np.empty((sum(len(s.basis) for s in all_shapes), samples, outputs))
-    for (kind, _), members in groups.items():
+
+    def make(group) -> None:
+        (kind, _), members = group
         made = _MAKERS[kind]([all_shapes[k] for k in members], plant, motion, data, outputs)
         columns = np.concatenate([np.arange(first[k], first[k] + len(all_shapes[k].basis)) for k in members])
         responses[columns] = made
+
+    side_by_side(make, groups.items())
     return Features(tuple(all_shapes), responses)
 
 
@@ -202,7 +207,7 @@ def _force_columns(shapes, plant, motion, data, outputs):
     )
 
 
-@stored
+@stored(level=ONCE)
 def _seen(q, v, u, inputs, arm, plant, time, scheduling):
     """What a force law sees of one motion at its place."""
     samples, dofs = q.shape
@@ -298,7 +303,7 @@ def _output_columns(shapes, plant, motion, data, outputs):
     return made
 
 
-@stored
+@stored(level=ONCE)
 def _output_changes(law, vectors, y, source, time):
     return jax.vmap(lambda p: law.apply(p, y, source, time) - y)(vectors)
 
@@ -342,7 +347,7 @@ def _arms(shapes, dofs):
     return eye[first], eye[second]
 
 
-@stored
+@stored(level=ONCE)
 def _changed_matrices(law, stacked, first, second, plant):
     def one(p, a, b):
         return law.matrices(p, plant.mass, plant.damping, plant.stiffness, a, b)
@@ -350,7 +355,7 @@ def _changed_matrices(law, stacked, first, second, plant):
     return jax.vmap(one)(stacked, first, second)
 
 
-@stored
+@stored(level=ONCE)
 def _linear_runs(M, D, K, drive, measured, start, end, time):
     def one(M, D, K):
         system = drive.state_space(M, D, K, measured, time)

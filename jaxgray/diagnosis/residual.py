@@ -23,7 +23,7 @@ from ..numerics.filters import filtered
 from ..numerics.lifting import respond, respond_many
 from ..numerics.riccati import kalman_gain
 from ..numerics.side_by_side import side_by_side
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import ONCE, stored
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
 """Force noise relative to the inputs' mean square that is tried."""
@@ -123,10 +123,10 @@ def _innovations(A, C, gain, e):
     return respond(A - gain @ C, gain, -C, jnp.eye(C.shape[0]), e)
 
 
-_filtered = stored(_innovations)
+_filtered = stored(_innovations, level=ONCE)
 
 
-_respond, _kalman_gain = stored(respond), stored(kalman_gain)
+_respond, _kalman_gain = stored(respond, level=ONCE), stored(kalman_gain, level=ONCE)
 
 
 def counted(kept: Bool[np.ndarray, "samples outputs"]) -> Bool[np.ndarray, "samples outputs"]:

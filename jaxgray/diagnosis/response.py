@@ -23,7 +23,7 @@ from ..mechanics.effects.base import (
 )
 from ..mechanics.extended import Plant, changed_input, changed_plant, held_input, plant_motion, sensed, slots_of
 from ..mechanics.tangents import Directions, run_and_tangents
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import OFTEN, ONCE, stored
 from .problem import Candidate, Data, Setup, estimated, of_record
 
 RUN_AWAY = 1e3
@@ -71,7 +71,7 @@ def _values(terms: tuple[Term, ...]) -> np.ndarray:
     return np.concatenate([np.asarray(t.values, dtype=float) for t in terms]) if terms else np.zeros(0)
 
 
-@stored
+@stored(level=ONCE)
 def _plant_stage(entries, flat, matrices, drive, measured, terms):
     """Plant from entries and matrix terms, and its derivative by both."""
 
@@ -86,7 +86,7 @@ def _plant_stage(entries, flat, matrices, drive, measured, terms):
     return plant, jax.jacfwd(build)(both)
 
 
-@stored
+@stored(level=ONCE)
 def _input_stage(flat, u, end, sampling_time, terms, count):
     """Input at start and end of every sample and, where `count` is 3, at the samples, after the input terms, and its
     derivative by their values."""
@@ -97,7 +97,7 @@ def _input_stage(flat, u, end, sampling_time, terms, count):
     return build(flat), jax.jacfwd(build)(flat)
 
 
-@stored
+@stored(level=ONCE)
 def _run(plant, x0, start, end, seen, slots, sampling_time, laws, scheduling, substeps):
     return plant_motion(
         plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps, seen=seen
@@ -105,13 +105,13 @@ def _run(plant, x0, start, end, seen, slots, sampling_time, laws, scheduling, su
 
 
 # Most of a refit's time goes here: compiled with full optimisation whatever `XLA_FLAGS` asks of everything else.
-@stored(compiler_options={"xla_backend_optimization_level": 3})
+@stored(level=OFTEN)
 def _run_and_derivative(plant, x0, start, end, seen, slots, along, sampling_time, laws, scheduling, substeps):
     more = {"laws": laws, "scheduling": scheduling, "substeps": substeps, "seen": seen}
     return run_and_tangents(plant, x0, start, end, slots, along, sampling_time, **more)
 
 
-@stored
+@stored(level=ONCE)
 def _output_stage(flat, y, u, dy, sampling_time, terms):
     """Outputs after the output terms, derivatives carried through, and those by the terms' own values."""
 
@@ -124,7 +124,7 @@ def _output_stage(flat, y, u, dy, sampling_time, terms):
     return build(flat, y), carried, jax.jacfwd(build)(flat, y)
 
 
-@stored
+@stored(level=ONCE)
 def _output_only(flat, y, u, sampling_time, terms):
     for term in _filled(terms, flat):
         y = sensed(term, y, u, sampling_time)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ..mechanics.effects.base import AbstractEffect
 from ..mechanics.extended import Plant, input_matrix_of
 from ..mechanics.statespace import StateSpace, sampled
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import ONCE, stored
 from .features import Features, Motion, features
 from .problem import Candidate, Data
 from .residual import Chain, counted, estimate_chain, smoothed_states, white_chain
@@ -54,7 +54,7 @@ def stage_of(simulator: Simulator, candidate: Candidate, data: Data, record: int
     return Stage(candidate, e, J, plant, system, force, Motion(q, v, y))
 
 
-@stored
+@stored(level=ONCE)
 def _sampled(plant: Plant, time, hold: str) -> StateSpace:
     continuous = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, time)
     return sampled(continuous, 1.0, hold)

@@ -12,7 +12,7 @@ from ..mechanics.drives import Force
 from ..numerics.linear_algebra import project_positive
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import ONCE, stored
 from ..records import Record
 from .filter_bank import pole
 from .input_matrix import InputFit, fit_to_record
@@ -140,7 +140,7 @@ def _physical_model(realization, fit, setting, known_mass, averaged):
     return jointly(realization, None, solver, known_mass)[0]
 
 
-@stored
+@stored(level=ONCE)
 def _record_fit(realization, signals, weights, setting):
     return fit_to_record(
         realization,

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..mechanics.drives import AbstractDrive, Force
 from ..mechanics.statespace import StateSpace
 from ..numerics.namespace import namespace
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import ONCE, stored
 from ..records import Record
 from .compression import RANK_TOLERANCE, combine, factors
 from .input_matrix import InputFit, fit_to_factor, unit_drives
@@ -86,7 +86,7 @@ def _factors(poles, u, y, samples, **options):
     return factors(poles, jnp.concatenate([u, y], axis=1), inside, **options)
 
 
-@stored
+@stored(level=ONCE)
 def _combined(parts, usable, inputs, block_rows):
     grid = jax.vmap(lambda several: combine(several, inputs, block_rows))(jnp.stack(parts, axis=1))
     return jnp.where(usable[:, None, None], grid, jnp.nan)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.linear_algebra import from_triangle, triangle, triangle_vector
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import ONCE, stored
 from .conic import pseudo_inverse
 from .normal import join, part
 from .physical import Scaling
@@ -57,7 +57,7 @@ def entry_names(dofs: int) -> tuple[str, ...]:
     return tuple(f"{matrix}[{r},{c}]" for matrix in ("mass", "damping", "stiffness") for r, c in zip(rows, columns))
 
 
-@stored
+@stored(level=ONCE)
 def _entries_by_blocks(blocks: list[Array], scaling: Scaling, structure: Structure) -> Array:
     """Derivative of the stacked triangles, in the record's units, by the joined block vectors."""
     sizes = tuple(block.shape[0] for block in blocks)

@@ -10,7 +10,7 @@ from ..numerics.lifting import free_response, respond
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.riccati import kalman_gain
 from ..numerics.runtime import ready
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import ONCE, stored
 from ..records import Record
 from ..records.channels import as_channels, as_seconds
 from .extended import Plant, extended_run
@@ -47,7 +47,7 @@ def sampled_model(model: MechanicalModel, sampling_time, hold: str) -> tuple[Sta
 
 
 # Apart, so that a record of another length does not compile the matrix exponential again.
-_sampled_model = stored(sampled_model)
+_sampled_model = stored(sampled_model, level=ONCE)
 _respond = stored(respond)
 _free_response = stored(free_response)
 

@@ -42,7 +42,7 @@ def relieve() -> None:
         with open("/proc/sys/vm/max_map_count", encoding="ascii") as file:
             most = int(file.read())
         with open("/proc/self/maps", "rb") as file:
-            areas = sum(1 for _ in file)
+            areas = file.read().count(b"\n")
     except (OSError, ValueError):
         return
     if areas > CROWDED * most:

@@ -32,6 +32,9 @@ SWITCH = "JAXGRAY_PROGRAMS"
 OURS = frozenset({"jaxgray", "jax", "jaxlib", "equinox", "numpy", "builtins", "copyreg", "collections", "functools"})
 """Packages whose code a key vouches for, by their release or by the sources; a user's own class may change unseen."""
 
+ONCE, OFTEN = 0, 3
+"""Levels of optimisation. Without any, a program compiles in half of the time or less."""
+
 _everyone: list["StoredProgram"] = []
 
 
@@ -110,19 +113,48 @@ def _below(cache: str) -> pathlib.Path:
     return pathlib.Path(cache) / FOLDER
 
 
-class _Hits:
-    """How many programs jax's cache has given to this process so far."""
+def keeps_programs() -> bool:
+    """Whether programs are kept on disk as things are set now."""
+    return _folder() is not None
+
+
+class _Hits(threading.local):
+    """How many programs jax's cache has given to a thread so far."""
 
     count = 0
 
-    @classmethod
-    def listen(cls, event: str, **_) -> None:
-        cls.count += event.endswith("/cache_hits")
+    def listen(self, event: str, **_) -> None:
+        self.count += event.endswith("/cache_hits")
 
 
-jax.monitoring.register_event_listener(_Hits.listen)
+_hits = _Hits()
+jax.monitoring.register_event_listener(_hits.listen)
 
-_compiling = threading.Lock()
+
+class _KeptOut:
+    """While any thread is inside, jax's own cache takes no new programs."""
+
+    name = "jax_persistent_cache_min_compile_time_secs"
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._inside = 0
+
+    def __enter__(self):
+        with self._lock:
+            if self._inside == 0:
+                self._before = getattr(jax.config, self.name)
+                jax.config.update(self.name, float("inf"))
+            self._inside += 1
+
+    def __exit__(self, *_):
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                jax.config.update(self.name, self._before)
+
+
+_kept_out = _KeptOut()
 
 
 def _compiled(lowered) -> tuple[jax.stages.Compiled, bool]:
@@ -131,15 +163,10 @@ def _compiled(lowered) -> tuple[jax.stages.Compiled, bool]:
     What jax's cache has read can not be written again: the copy lacks its functions (seen with jaxlib 0.10.1). So these
     programs are kept out of that cache.
     """
-    name = "jax_persistent_cache_min_compile_time_secs"
-    with _compiling:
-        before, hits = getattr(jax.config, name), _Hits.count
-        jax.config.update(name, float("inf"))
-        try:
-            program = lowered.compile()
-        finally:
-            jax.config.update(name, before)
-        return program, _Hits.count == hits
+    with _kept_out:
+        before = _hits.count
+        program = lowered.compile()
+        return program, _hits.count == before
 
 
 def _settings() -> tuple:
@@ -154,36 +181,62 @@ class _Known(NamedTuple):
     form: jax.tree_util.PyTreeDef
 
 
+_UNKNOWN = object()
+
+
 class StoredProgram:
     """A function as `equinox.filter_jit` compiles it, its programs kept on disk.
 
-    **Arguments:** `function`; `compiler_options`: as for `jax.jit`.
+    **Arguments:** `function`; `level`: how far the compiler goes on a CPU, 0 to 3; None for what `XLA_FLAGS` says.
     """
 
-    def __init__(self, function: Callable, compiler_options: dict | None = None):
+    def __init__(self, function: Callable, level: int | None = None):
         functools.update_wrapper(self, function)
         self._function = function
-        self._options = compiler_options
-        extra = {} if compiler_options is None else {"compiler_options": compiler_options}
-        self._plain = eqx.filter_jit(function, **extra)
+        self._level = level
         self._ready: dict[tuple, _Known | None] = {}
+        self._lock, self._turns = threading.Lock(), {}
         _everyone.append(self)
+
+    @functools.cached_property
+    def _options(self) -> dict[str, int]:
+        # Which backend there is may not be asked before the user has had the chance to choose.
+        if self._level is None or jax.default_backend() != "cpu":
+            return {}
+        return {"xla_backend_optimization_level": self._level}
+
+    @functools.cached_property
+    def _plain(self) -> Callable:
+        return eqx.filter_jit(self._function, **self._extra)
+
+    @property
+    def _extra(self) -> dict:
+        return {"compiler_options": self._options} if self._options else {}
 
     def __call__(self, *args, **kwargs):
         leaves, tree = jax.tree_util.tree_flatten((args, kwargs))
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays) or (folder := _folder()) is None:
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays):
             return self._plain(*args, **kwargs)
+        folder = _folder()
         static = tuple(None if eqx.is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
         shapes = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)
-        key = tree, static, shapes, _settings()
+        key = tree, static, shapes, folder, _settings()
         try:
-            new = key not in self._ready
+            known = self._ready.get(key, _UNKNOWN)
         except TypeError:
             return self._plain(*args, **kwargs)
+        new = known is _UNKNOWN
         if new:
-            self._ready[key] = self._prepared(folder, leaves, arrays, tree, shapes)
-        known = self._ready[key]
+            # One thread prepares it, others that want it wait.
+            with self._turn(key):
+                known = self._ready.get(key, _UNKNOWN)
+                if known is _UNKNOWN:
+                    known = folder and self._prepared(folder, leaves, arrays, tree, shapes)
+                    found = None if known else self._plain(*args, **kwargs)
+                    self._ready[key] = known
+                    if known is None:
+                        return found
         if known is None:
             return self._plain(*args, **kwargs)
         try:
@@ -195,16 +248,19 @@ class StoredProgram:
             return self._plain(*args, **kwargs)
         return jax.tree_util.tree_unflatten(known.form, found)
 
+    def _turn(self, key) -> threading.Lock:
+        with self._lock:
+            return self._turns.setdefault(key, threading.Lock())
+
     def _prepared(self, folder, leaves, arrays, tree, shapes) -> "_Known | None":
         """The program for such arguments: from disk, or compiled and kept there; None where it can not be kept."""
-        options = {} if self._options is None else {"compiler_options": self._options}
         try:
             if not self._function.__qualname__.isidentifier():
                 return None
             frame = jax.tree_util.tree_unflatten(tree, [_Array() if eqx.is_array(x) else x for x in leaves])
             name = f"{self._function.__module__}.{self._function.__qualname__}"
             named = tuple((shape, str(dtype), bool(weak)) for shape, dtype, weak in shapes)
-            wanted = _bytes_of((name, sorted((self._options or {}).items()), named, _settings(), frame))
+            wanted = _bytes_of((name, sorted(self._options.items()), named, _settings(), frame))
             path = folder / hashlib.sha256(_surroundings() + wanted).hexdigest()
         except Exception:
             return None
@@ -223,18 +279,22 @@ class StoredProgram:
             return found
 
         flat.__name__ = f"stored_{self._function.__name__}"
-        program, fresh = _compiled(jax.jit(flat, **options).lower(*arrays))
+        program, fresh = _compiled(jax.jit(flat, **self._extra).lower(*arrays))
         known = _Known(program, forms[0])
         if fresh:
             _save(path, known)
         return known
 
 
-def stored(function: Callable | None = None, *, compiler_options: dict | None = None):
-    """Decorator in place of `equinox.filter_jit` that keeps the compiled programs below jax's compilation cache."""
+def stored(function: Callable | None = None, *, level: int | None = None):
+    """Decorator in place of `equinox.filter_jit` that keeps the compiled programs below jax's compilation cache.
+
+    **Arguments:** `level`: how far the compiler goes, as in `StoredProgram`. `ONCE` for what runs so seldom that to
+    compile it takes longer than all its runs.
+    """
     if function is None:
-        return lambda f: StoredProgram(f, compiler_options)
-    return StoredProgram(function, compiler_options)
+        return lambda f: StoredProgram(f, level)
+    return StoredProgram(function, level)
 
 
 def forget() -> None:

@@ -1,5 +1,6 @@
 """Findings on the raw record, before any model."""
 
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -61,6 +62,16 @@ def preflight(record: Record) -> list[RecordFinding]:
 
     **Returns:** the `RecordFinding`s, worst first; empty for a clean record.
     """
+    # Asked at every stage of a diagnosis.
+    if record not in _seen:
+        _seen[record] = tuple(_findings(record))
+    return list(_seen[record])
+
+
+_seen: weakref.WeakKeyDictionary[Record, tuple[RecordFinding, ...]] = weakref.WeakKeyDictionary()
+
+
+def _findings(record: Record) -> list[RecordFinding]:
     moving = [
         _Output(name, y, places, _with_gaps(y, places))
         for name, y in zip(record.output_names, record.y.T)

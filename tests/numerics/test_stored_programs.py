@@ -1,5 +1,7 @@
 """Programs kept on disk: a new process finds them without tracing, and nothing foreign or stale is ever run."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -51,6 +53,23 @@ def test_another_process_runs_it_untraced(folder):
     assert jax.tree_util.tree_structure(first) == jax.tree_util.tree_structure(again)
     np.testing.assert_array_equal(first["values"], again["values"])
     np.testing.assert_allclose(again["values"], np.linalg.eigvalsh(np.linalg.solve(M, K)), rtol=1e-12)
+
+
+def test_threads_that_want_the_same_program_compile_it_once(folder):
+    program = StoredProgram(spring)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: program(HERE, (M, K), power=1)["values"], range(4)))
+    assert len(traced) == 1 and len(list(folder.iterdir())) == 1
+    np.testing.assert_allclose(found, [np.linalg.eigvalsh(np.linalg.solve(M, K))] * 4, rtol=1e-12)
+
+
+def test_threads_that_compile_at_once_leave_the_settings_as_they_were(folder):
+    before = jax.config.jax_persistent_cache_min_compile_time_secs
+    program = StoredProgram(spring)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda power: program(HERE, (M, K), power=power), range(1, 5)))
+    assert len(traced) == 4 and len(list(folder.iterdir())) == 4
+    assert jax.config.jax_persistent_cache_min_compile_time_secs == before
 
 
 def test_what_is_static_and_the_surroundings_belong_to_the_key(folder, monkeypatch):
