@@ -16,7 +16,7 @@ from ..numerics.lifting import free_response
 from ..numerics.linear_algebra import duplication, symmetric_vector
 from ..numerics.response_products import response_products
 from ..numerics.sensitivity import by_blocks, lift_by_channel
-from ..numerics.stored_programs import stored
+from ..numerics.stored_programs import ONCE, stored
 from .prediction import Batch, Nuisance, Setting, prediction_errors, weighed
 from .structure import Structure
 
@@ -166,7 +166,7 @@ class Criterion(eqx.Module):
         return jax.device_get(self.products(blocks, nuisance))
 
 
-@stored
+@stored(level=ONCE)
 def sensitivities(
     at: Iterate, criterion: Criterion
 ) -> tuple[Float[Array, "records samples outputs"], Float[Array, "records samples outputs parameters"]]:
@@ -195,7 +195,7 @@ def sensitivities(
     return e, J
 
 
-@stored
+@stored(level=ONCE)
 def _of_one_record(blocks: list[Array], nuisance: Nuisance, criterion: Criterion) -> Products:
     """`Criterion.products` where there is one record and noise at the outputs alone."""
     batch = criterion.batch

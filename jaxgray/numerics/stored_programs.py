@@ -184,6 +184,11 @@ class _Known(NamedTuple):
 _UNKNOWN = object()
 
 
+def _is_traced() -> bool:
+    """Whether what is computed now becomes part of a larger program."""
+    return isinstance(jax.numpy.add(0.0, 0.0), jax.core.Tracer)
+
+
 class StoredProgram:
     """A function as `equinox.filter_jit` compiles it, its programs kept on disk.
 
@@ -206,8 +211,17 @@ class StoredProgram:
         return {"xla_backend_optimization_level": self._level}
 
     @functools.cached_property
-    def _plain(self) -> Callable:
+    def _within(self) -> Callable:
+        """For use inside of what another trace compiles, which takes no options of its own."""
+        return eqx.filter_jit(self._function)
+
+    @functools.cached_property
+    def _alone(self) -> Callable:
         return eqx.filter_jit(self._function, **self._extra)
+
+    def _plain(self, *args, **kwargs):
+        way = self._within if self._options and _is_traced() else self._alone
+        return way(*args, **kwargs)
 
     @property
     def _extra(self) -> dict:
@@ -217,7 +231,7 @@ class StoredProgram:
         leaves, tree = jax.tree_util.tree_flatten((args, kwargs))
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays):
-            return self._plain(*args, **kwargs)
+            return self._within(*args, **kwargs)
         folder = _folder()
         static = tuple(None if eqx.is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
         shapes = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)

@@ -55,6 +55,19 @@ def test_another_process_runs_it_untraced(folder):
     np.testing.assert_allclose(again["values"], np.linalg.eigvalsh(np.linalg.solve(M, K)), rtol=1e-12)
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_level_of_its_own_serves_inside_of_a_larger_program(folder, monkeypatch, kept):
+    if not kept:
+        monkeypatch.setattr(stored_programs, "_folder", lambda: None)
+    program = StoredProgram(spring, level=stored_programs.ONCE)
+    wanted = np.linalg.eigvalsh(np.linalg.solve(M, K))
+    by_constants = jax.jit(lambda x: x * program(HERE, (M, K), power=1)["values"])
+    by_arguments = jax.jit(lambda K: program(HERE, (M, K), power=1)["values"])
+    along = jax.vmap(lambda K: program(HERE, (M, K), power=1)["values"])
+    for found in (by_constants(1.0), by_arguments(K), along(K[None])[0], program(HERE, (M, K), power=1)["values"]):
+        np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
 def test_threads_that_want_the_same_program_compile_it_once(folder):
     program = StoredProgram(spring)
     with ThreadPoolExecutor(4) as pool:
