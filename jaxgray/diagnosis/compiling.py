@@ -12,12 +12,12 @@ import jax
 import numpy as np
 
 from ..identification.normal import join
-from ..identification.options import drive_of
+from ..identification.options import drive_by
 from ..identification.preparation import scaling_of
 from ..identification.structure import Structure, structure_of
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect, Term, places_of
 from ..mechanics.model import MechanicalModel
-from ..numerics.side_by_side import cores
+from ..numerics.backend import cores
 from ..numerics.stored_programs import keeps_programs
 from ..records import Record
 from .problem import Candidate, Data, Setup
@@ -68,12 +68,15 @@ def _prepare(records, laws, searched, model, options, ended: threading.Event) ->
 def expected(
     records: list[Record], laws: tuple[AbstractForceEffect, ...], model: MechanicalModel | None, options: dict
 ) -> tuple[Simulator, Candidate]:
-    """The simulator of a diagnosis, and a candidate of the shape of its linear model."""
+    """The simulator of a diagnosis, and a candidate of the shape of its linear model.
+
+    **Arguments:** as for `compiling_ahead`.
+
+    **Raises:** `ValueError`, `ComputationError` for options or records that cannot serve, as `identify` does.
+    """
     record = records[0]
     if model is None:
-        places = {name: options.get(name) for name in ("excitation", "input_map", "relative")}
-        drive = drive_of(record, places["excitation"] or "force", places["input_map"], bool(places["relative"]))
-        structure = structure_of(options.get("structure"))
+        drive, structure = drive_by(record, options), structure_of(options.get("structure"))
     else:
         drive, structure = model.drive, Structure()
     names = record.input_names, record.output_names

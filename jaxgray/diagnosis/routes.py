@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 
 from ..identification import Identification, identify
-from ..identification.options import drive_of
+from ..identification.options import drive_by
 from ..mechanics.drives import AbstractDrive, Force
 from ..mechanics.effects.base import AbstractEffect
 from ..numerics.outcomes import RESULTS, ComputationError
@@ -65,8 +65,7 @@ def begin(
         failure = error
         if any(error.result == one for one in HOPELESS):
             raise
-    places = {name: options[name] for name in ("excitation", "input_map", "relative") if name in options}
-    drive = drive_of(records[0], **({"excitation": "force", "input_map": None, "relative": False} | places))
+    drive = drive_by(records[0], options)
     rng = np.random.default_rng(seed)
     route = route_of(records, identification, drive)
     if route == "static gain":

@@ -63,6 +63,15 @@ def parse_input_map(text: str, record: Record) -> np.ndarray:
     return E
 
 
+def drive_by(record: Record, options: dict) -> AbstractDrive:
+    """The drive that some options of `identify` describe, those that are not among them at their defaults.
+
+    **Raises:** as `drive_of`.
+    """
+    given = {name: options[name] for name in ("excitation", "input_map", "relative") if name in options}
+    return drive_of(record, **({"excitation": "force", "input_map": None, "relative": False} | given))
+
+
 def drive_of(record: Record, excitation, input_map, relative: bool) -> AbstractDrive:
     """The drive that excitation and input map describe.
 

@@ -8,13 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import jax
 
+from .backend import cores
+
 MOST = 4
 """Threads at most: beyond, memory is what they would wait for."""
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @functools.cache
