@@ -1,5 +1,6 @@
 """What the loop of a diagnosis works with."""
 
+import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -39,9 +40,18 @@ class Bench:
     identified: "Identified | None" = None
 
 
+_chains: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKeyDictionary()
+
+
 def chain_of(bench: Bench, fit: Refit) -> Chain:
-    """The whitening chain of what a refit leaves of the first record."""
-    data = bench.data[0]
+    """The whitening chain of what a refit leaves of the first record; estimated once, however often it is asked for."""
+    data, known = bench.data[0], _chains.get(fit)
+    if known is None or known[0] is not data:
+        _chains[fit] = known = data, _estimated(bench, fit, data)
+    return known[1]
+
+
+def _estimated(bench: Bench, fit: Refit, data: Data) -> Chain:
     plant = bench.simulator.plant(fit.candidate)
     system = sampled_plant(plant, data, bench.simulator.setup.dofs)
     force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)

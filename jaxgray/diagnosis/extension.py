@@ -32,7 +32,7 @@ BENT = 0.75
 that fails costs a simulation and a shorter one follows."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Refit:
     """A candidate after its refit, and the evidence.
 

@@ -8,6 +8,7 @@ import numpy as np
 from ..mechanics.effects.base import Term
 from ..mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ..mechanics.extended import arm_of
+from ..numerics.side_by_side import side_by_side
 from .bench import Bench, chain_of
 from .competitor import FlexibleForce
 from .equations import weighted
@@ -64,18 +65,22 @@ def attempts_of(
     """Refits of the listed candidates; only those that still can be the best are carried to their end. Laws that
     contain a simpler one begin where that ended."""
     names = {_name(scores[0]) for scores in listed}
-    inside = [any((simpler, place) in names for simpler in law.contains) for law, place in map(_law, listed)]
-    fits = _outright(bench, stage, [s for s, nested in zip(listed, inside) if not nested], chain, rejected)
+    left = {_name(scores[0]): scores for scores in listed if names & set(_simpler(scores))}
+    fits = _outright(bench, stage, [scores for scores in listed if _name(scores[0]) not in left], chain, rejected)
     bases: dict[tuple[str, str], _Base] = {}
-    for scores in (s for s, nested in zip(listed, inside) if nested):
-        law, place = _law(scores)
-        base = next(((simpler, place) for simpler in law.contains if (simpler, place) in fits), None)
-        if base is not None:
-            bases[base] = bases[base] if base in bases else _Base.of(bench, *fits[base])
-            better = _beyond(bench, bases[base], scores, rejected)
-            fits |= {} if better is None else {_name(scores[0]): better}
-        else:
+    while left:
+        # Beside one another, but for laws that go on from one of the others.
+        now = [scores for scores in left.values() if not left.keys() & set(_simpler(scores))] or list(left.values())
+        left = {name: scores for name, scores in left.items() if name not in {_name(scores[0]) for scores in now}}
+        begun = [(next((name for name in _simpler(scores) if name in fits), None), scores) for scores in now]
+        for base in {name for name, _ in begun} - {None, *bases}:
+            bases[base] = _Base.of(bench, *fits[base])
+        for _, scores in (one for one in begun if one[0] is None):
             fits |= _outright(bench, stage, [scores], chain, rejected)
+        beyond = [(bases[base], scores) for base, scores in begun if base is not None]
+        for (_, scores), (better, refused) in zip(beyond, side_by_side(lambda one: _beyond(bench, *one), beyond)):
+            rejected += refused
+            fits |= {} if better is None else {_name(scores[0]): better}
     attempts: dict[tuple[str, str], Attempt] = {}
     for score, fit in _followed(bench, fits, rejected).values():
         attempt = by_contact(bench, Attempt(score, fit, chain_of(bench, fit)), stage)
@@ -88,8 +93,10 @@ def _name(score: Score) -> tuple[str, str]:
     return score.shape.effect.id, score.shape.place.name
 
 
-def _law(scores: list[Score]):
-    return scores[0].shape.effect, scores[0].shape.place.name
+def _simpler(scores: list[Score]) -> list[tuple[str, str]]:
+    """Laws at the same place that this one contains."""
+    shape = scores[0].shape
+    return [(simpler, shape.place.name) for simpler in shape.effect.contains]
 
 
 def criterion_of(bench: Bench, score: Score, fit: Refit) -> float:
@@ -128,7 +135,7 @@ def _outright(
         if name not in rough:
             why = unlike.get(name, "its refit could not be simulated")
             rejected.append(Rejected(*name, scores[0].delta_bic, why))
-    fits = {}
+    going: dict[tuple[str, str], tuple[Score, Refit]] = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
         if criterion > best + HOPELESS:
             why = f"{WEAKER} (by {criterion - best:.0f})"
@@ -138,9 +145,13 @@ def _outright(
         if bound is not None and criterion > best:
             rejected.append(Rejected(*name, score.delta_bic, f"{bound} ran to its physical bound"))
             continue
+        going[name] = score, fit
+
+    def at_end(name):
         bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
-        fits[name] = score, pursued(bench, fit)
-    return fits
+        return going[name][0], pursued(bench, going[name][1])
+
+    return dict(zip(going, side_by_side(at_end, going)))
 
 
 @dataclass(frozen=True)
@@ -164,9 +175,9 @@ class _Base:
         return cls(score, fit, chain, most)
 
 
-def _beyond(bench: Bench, base: _Base, scores: list[Score], rejected: list[Rejected]) -> tuple[Score, Refit] | None:
+def _beyond(bench: Bench, base: _Base, scores: list[Score]) -> tuple[tuple[Score, Refit] | None, tuple[Rejected, ...]]:
     """The best refit of a law from that of a simpler one which it contains, None where its further parameters pay too
-    little."""
+    little, and then why."""
     simple, chain, most = base.fit, base.chain, base.most
     name = _name(scores[0])
     bench.progress.stage(f"refitting {name[0]} at {name[1]}")
@@ -184,16 +195,14 @@ def _beyond(bench: Bench, base: _Base, scores: list[Score], rejected: list[Rejec
         if fit is not None:
             found.append((criterion_of(bench, score, fit), score, fit))
     if not found:
-        rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
-        return None
+        return None, (Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"),)
     if min(criterion for criterion, *_ in found) > most:
         why = f"explains no more than {base.score.shape.effect.id}, which it contains"
-        rejected.append(Rejected(*name, scores[0].delta_bic, why))
-        return None
+        return None, (Rejected(*name, scores[0].delta_bic, why),)
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
     # A start that is ahead after a few steps need not lead to the best end.
     ends = [(score, pursued(bench, fit)) for criterion, score, fit in found if criterion <= most]
-    return min(ends, key=lambda end: chain_of(bench, end[1]).cost + _penalty(bench, end[0]))
+    return min(ends, key=lambda end: chain_of(bench, end[1]).cost + _penalty(bench, end[0])), ()
 
 
 def _followed(
@@ -208,15 +217,15 @@ def _followed(
     sharp = sharpened(bench, fits[best][1])
     if bench.simulator.substeps == steps:
         return fits
-    result = {}
-    for name, (score, fit) in fits.items():
-        behind = costs[name] - costs[best]
-        if behind < HOPELESS:
-            result[name] = score, sharp if name == best else at_the_same_steps(bench, fit)
-        else:
-            why = f"{WEAKER} (by {behind:.0f})"
-            rejected.append(Rejected(*name, score.delta_bic, why))
-    return result
+    near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < HOPELESS}
+    for name in (name for name in fits if name not in near):
+        why = f"{WEAKER} (by {costs[name] - costs[best]:.0f})"
+        rejected.append(Rejected(*name, fits[name][0].delta_bic, why))
+
+    def again(name):
+        return sharp if name == best else at_the_same_steps(bench, near[name])
+
+    return {name: (fits[name][0], fit) for name, fit in zip(near, side_by_side(again, near))}
 
 
 def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:

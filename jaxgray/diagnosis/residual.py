@@ -31,6 +31,9 @@ RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
 SETTLING = 4 * AR_ORDER
 """Samples left out at the beginning, where the chain has no past yet."""
 
+AT_ONCE = 5
+"""Parts of the grid of ratios that are tried beside one another: their number divides that of the ratios."""
+
 _FLOOR = 1e-12
 
 ROWS = 16
@@ -166,7 +169,11 @@ def estimate_chain(
     level = np.mean(e[rows] ** 2, axis=0) if rows.any() else np.ones(e.shape[1])
     V = np.maximum(white_part(e, kept), _FLOOR * np.maximum(level, 1e-300)) + 1e-300
     A, B, C, D = (np.asarray(X) for X in (system.A, system.B, system.C, system.D))
-    gains, products = (np.asarray(X) for X in _over_ratios(A, B, C, D, force, np.diag(V), RATIOS[1:], e, rows))
+
+    def some(ratios):
+        return jax.device_get(_over_ratios(A, B, C, D, force, np.diag(V), ratios, e, rows))
+
+    gains, products = (np.concatenate(X) for X in zip(*side_by_side(some, np.split(RATIOS[1:], AT_ONCE))))
     costs = np.linalg.slogdet(products / max(int(rows.sum()), 1) + 1e-300 * np.eye(len(C)))[1]
     tried = np.flatnonzero(np.isfinite(costs) & np.all(np.isfinite(gains), axis=(1, 2)))
     plain = _with_colour(A, C, np.zeros((A.shape[0], C.shape[0])), 0.0, e, e, kept, rows)

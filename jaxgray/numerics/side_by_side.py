@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import os
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,28 +15,31 @@ MOST = 4
 """Threads at most: beyond, memory is what they would wait for."""
 
 
+_here = threading.local()
+
+
 @functools.cache
 def _pool(_: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(min(cores(), MOST), thread_name_prefix="jaxgray")
 
 
 def side_by_side(function: Callable, parts: Iterable) -> list:
-    """What a function gives for each of some parts, in their order.
+    """What a function gives for each of some parts, in their order; where it calls this again, one after the other.
 
-    **Arguments:** `function`: must not call this again; `parts`.
+    **Arguments:** `function`; `parts`.
 
     **Raises:** what the function raises.
     """
     parts = list(parts)
-    if len(parts) < 2 or cores() < 2:
+    if len(parts) < 2 or cores() < 2 or getattr(_here, "busy", False):
         return [function(part) for part in parts]
-    # The first part here: a program that is new is prepared once, and not by every thread.
-    first, wide = function(parts[0]), jax.config.jax_enable_x64
+    wide = jax.config.jax_enable_x64
 
     def alike(part):
+        _here.busy = True
         # What was set for the calling thread alone, another does not have.
         with contextlib.nullcontext() if jax.config.jax_enable_x64 == wide else jax.enable_x64(wide):
             return function(part)
 
     # A process that was forked has no threads of its parent.
-    return [first, *_pool(os.getpid()).map(alike, parts[1:])]
+    return list(_pool(os.getpid()).map(alike, parts))

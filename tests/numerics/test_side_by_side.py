@@ -12,18 +12,26 @@ from jaxgray.numerics.side_by_side import side_by_side
 
 def test_results_come_in_order_and_failures_reach_the_caller(monkeypatch):
     monkeypatch.setattr(module, "cores", lambda: 3)
-    together, seen = threading.Barrier(2, timeout=20), []
+    together = threading.Barrier(3, timeout=20)
 
     def slow(k):
-        seen.append(threading.get_ident())
-        # Neither of the two would come back if they did not run at the same time.
-        return k if k == 0 else (together.wait(), k)[1]
+        # None of the three would come back if they did not run at the same time.
+        return (together.wait(), k)[1]
 
     assert side_by_side(slow, range(3)) == [0, 1, 2]
-    assert len(set(seen)) == 3
     assert side_by_side(slow, []) == []
     with pytest.raises(ZeroDivisionError):
         side_by_side(lambda k: 1 / (3 - k), range(5))
+
+
+def test_parts_of_parts_wait_for_no_other_thread(monkeypatch):
+    monkeypatch.setattr(module, "cores", lambda: 2)
+
+    def part(k):
+        return [threading.get_ident()] + side_by_side(lambda _: threading.get_ident(), range(2))
+
+    # All threads at once inside of parts: any that waited for another would wait for ever.
+    assert all(len(set(threads)) == 1 for threads in side_by_side(part, range(8)))
 
 
 def test_what_is_set_for_one_thread_holds_for_its_parts(monkeypatch):
