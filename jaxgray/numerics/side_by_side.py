@@ -19,8 +19,8 @@ _here = threading.local()
 
 
 @functools.cache
-def _pool(_: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(min(cores(), MOST), thread_name_prefix="jaxgray")
+def _pool(_: int, threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="jaxgray")
 
 
 def side_by_side(function: Callable, parts: Iterable) -> list:
@@ -42,4 +42,4 @@ def side_by_side(function: Callable, parts: Iterable) -> list:
             return function(part)
 
     # A process that was forked has no threads of its parent.
-    return list(_pool(os.getpid()).map(alike, parts))
+    return list(_pool(os.getpid(), min(cores(), MOST)).map(alike, parts))
