@@ -4,7 +4,7 @@ import abc
 
 
 class AbstractProgress(abc.ABC):
-    """Told what is being done, never what to print."""
+    """Told what is being done, never what to print; from several threads where laws are refitted beside one another."""
 
     @abc.abstractmethod
     def stage(self, name: str, *, fraction: float | None = None) -> None:
