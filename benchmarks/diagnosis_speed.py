@@ -96,10 +96,9 @@ def warm(seed, records):
 
     warnings.simplefilter("ignore")
     found, holds = [], set()
-    for k in itertools.count():
-        if len(found) == records:
-            break
-        case = case_of(seed + 1 + k, 4000)
+    seeds = itertools.count(seed + 1)
+    while len(found) < records:
+        case = case_of(next(seeds), 4000)
         record, validation = (
             jaxgray.Record(u, y, case.sampling_time, hold=case.hold)
             for u, y in ((case.u, case.y), (case.u_v, case.y_v))

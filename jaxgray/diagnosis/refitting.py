@@ -70,17 +70,19 @@ def attempts_of(
     bases: dict[tuple[str, str], _Base] = {}
     while left:
         # Beside one another, but for laws that go on from one of the others.
-        now = [scores for scores in left.values() if not left.keys() & set(_simpler(scores))] or list(left.values())
-        left = {name: scores for name, scores in left.items() if name not in {_name(scores[0]) for scores in now}}
-        begun = [(next((name for name in _simpler(scores) if name in fits), None), scores) for scores in now]
-        for base in {name for name, _ in begun} - {None, *bases}:
+        now = {name: scores for name, scores in left.items() if not left.keys() & set(_simpler(scores))} or left
+        left = {name: scores for name, scores in left.items() if name not in now}
+        base_of = {name: next((one for one in _simpler(scores) if one in fits), None) for name, scores in now.items()}
+        for base in set(base_of.values()) - {None, *bases}:
             bases[base] = _Base.of(bench, *fits[base])
-        for _, scores in (one for one in begun if one[0] is None):
-            fits |= _outright(bench, stage, [scores], chain, rejected)
-        beyond = [(bases[base], scores) for base, scores in begun if base is not None]
-        for (_, scores), (better, refused) in zip(beyond, side_by_side(lambda one: _beyond(bench, *one), beyond)):
-            rejected += refused
-            fits |= {} if better is None else {_name(scores[0]): better}
+        for name in (name for name, base in base_of.items() if base is None):
+            fits |= _outright(bench, stage, [now[name]], chain, rejected)
+        beyond = {name: (bases[base], now[name]) for name, base in base_of.items() if base is not None}
+        for name, end in zip(beyond, side_by_side(lambda one: _beyond(bench, *one), beyond.values())):
+            if isinstance(end, Rejected):
+                rejected.append(end)
+            else:
+                fits[name] = end
     attempts: dict[tuple[str, str], Attempt] = {}
     for score, fit in _followed(bench, fits, rejected).values():
         attempt = by_contact(bench, Attempt(score, fit, chain_of(bench, fit)), stage)
@@ -175,9 +177,9 @@ class _Base:
         return cls(score, fit, chain, most)
 
 
-def _beyond(bench: Bench, base: _Base, scores: list[Score]) -> tuple[tuple[Score, Refit] | None, tuple[Rejected, ...]]:
-    """The best refit of a law from that of a simpler one which it contains, None where its further parameters pay too
-    little, and then why."""
+def _beyond(bench: Bench, base: _Base, scores: list[Score]) -> tuple[Score, Refit] | Rejected:
+    """The best refit of a law from that of a simpler one which it contains, or why there is none: its further
+    parameters pay too little."""
     simple, chain, most = base.fit, base.chain, base.most
     name = _name(scores[0])
     bench.progress.stage(f"refitting {name[0]} at {name[1]}")
@@ -195,14 +197,14 @@ def _beyond(bench: Bench, base: _Base, scores: list[Score]) -> tuple[tuple[Score
         if fit is not None:
             found.append((criterion_of(bench, score, fit), score, fit))
     if not found:
-        return None, (Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"),)
+        return Rejected(*name, scores[0].delta_bic, "its refit could not be simulated")
     if min(criterion for criterion, *_ in found) > most:
         why = f"explains no more than {base.score.shape.effect.id}, which it contains"
-        return None, (Rejected(*name, scores[0].delta_bic, why),)
+        return Rejected(*name, scores[0].delta_bic, why)
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
     # A start that is ahead after a few steps need not lead to the best end.
     ends = [(score, pursued(bench, fit)) for criterion, score, fit in found if criterion <= most]
-    return min(ends, key=lambda end: chain_of(bench, end[1]).cost + _penalty(bench, end[0])), ()
+    return min(ends, key=lambda end: chain_of(bench, end[1]).cost + _penalty(bench, end[0]))
 
 
 def _followed(
@@ -218,9 +220,9 @@ def _followed(
     if bench.simulator.substeps == steps:
         return fits
     near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < HOPELESS}
-    for name in (name for name in fits if name not in near):
-        why = f"{WEAKER} (by {costs[name] - costs[best]:.0f})"
-        rejected.append(Rejected(*name, fits[name][0].delta_bic, why))
+    for name, (score, _) in fits.items():
+        if name not in near:
+            rejected.append(Rejected(*name, score.delta_bic, f"{WEAKER} (by {costs[name] - costs[best]:.0f})"))
 
     def again(name):
         return sharp if name == best else at_the_same_steps(bench, near[name])
