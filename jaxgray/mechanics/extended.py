@@ -87,11 +87,17 @@ def _forced(plant: Plant, x0, start, end, slots: Slots, sampling_time, laws, sch
     return x, f, h
 
 
-def outputs_of(plant: Plant, slots: Slots | None, x, f, seen, h) -> Float[Array, "samples outputs"]:
-    """Outputs from the states (q, T q̇), forces and inputs at every sample; `h` [s]: the T of the states."""
+def output_rows(plant: Plant, slots: Slots | None, h) -> Float[Array, "outputs states+inputs+slots"]:
+    """Outputs by the states (q, T q̇), inputs and forces of one sample; `h` [s]: the T of the states."""
     system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, h)
-    y = x @ system.C.T + seen @ system.D.T
-    return y if slots is None else y + f @ direct(plant, slots.arms).T
+    by_force = [] if slots is None else [direct(plant, slots.arms)]
+    return jnp.concatenate([system.C, system.D, *by_force], axis=1)
+
+
+def outputs_of(plant: Plant, slots: Slots | None, x, f, seen, h) -> Float[Array, "samples outputs"]:
+    """Outputs from the states, forces and inputs at every sample, as `output_rows` has them."""
+    forces = [] if slots is None else [f]
+    return jnp.concatenate([x, seen, *forces], axis=1) @ output_rows(plant, slots, h).T
 
 
 def plant_motion(

@@ -1,7 +1,7 @@
-"""Derivatives of a run with added forces: the run first, then the derivative of every sample's step at the states that
-are known by then, all side by side, and one linear recursion through them.
+"""Derivatives of a run with added forces: the run first, then the derivatives of the steps at the states that are known
+by then, many samples side by side, and one linear recursion through them.
 
-Exact, as differentiating through the run would be, but only the run itself goes sample by sample.
+Exact, as differentiating through the run would be. It goes by chunks of samples, whose steps stay in cache.
 """
 
 import equinox as eqx
@@ -9,9 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics.varying import varying_response
 from .effects.base import AbstractForceEffect
-from .extended import outputs_of, plant_run
+from .extended import output_rows, plant_run
 from .step_rows import Plant
 from .trajectory import Sampler, Series, Slots, first_state, trajectory
 
@@ -78,79 +77,81 @@ def run_and_tangents(
         return _along(run, along)
     T = jnp.asarray(sampling_time)
     h = T / substeps
+    u, moves = (start, along.start) if seen is None else (seen, along.seen)
 
     def begun(change):
-        here = _with_values(slots, slots.values + change.values)
-        sampler = Sampler.of(change.moved(plant), here, T, laws, substeps)
+        moved, here = change.moved(plant), _with_values(slots, slots.values + change.values)
+        sampler = Sampler.of(moved, here, T, laws, substeps)
         u0 = start[0] if change.start is None else start[0] + change.start[0]
-        return sampler.rows, sampler.slots.values, first_state(change.moved(plant), x0 + change.x0, u0, h)
+        return (sampler.rows, here.values), first_state(moved, x0 + change.x0, u0, h), output_rows(moved, slots, h)
 
-    (rows, values, first), (drows, dvalues, dfirst) = _along(begun, along, axis=0)
+    ((rows, _), first, table), (dsampler, dfirst, dtable) = _along(begun, along, axis=0)
     sampler, series = Sampler(rows, slots, T, substeps, laws), Series.of(start, end, scheduling, T)
     x, z, f = trajectory(sampler, first, series)
-    size, states = x.shape[1], x.shape[1] + z[0].size
-    F, G = _steps(sampler, series, x, z, (drows, dvalues), along)
-    remembered = jnp.zeros((dfirst.shape[0], states - size))
-    d = varying_response(F[:, :states], G[:, :states], jnp.concatenate([dfirst, remembered], axis=1).T)
-    df = jnp.einsum("kij,kjp->kip", F[:, states:], d) + G[:, states:]
+    seen_by = jnp.concatenate([x, u, f], axis=1)
+    states, inputs = x.shape[1] + z[0].size, u.shape[1]
+    by_state, by_input, by_force = jnp.split(table, (x.shape[1], x.shape[1] + inputs), axis=1)
 
-    def outputs(change, x, f):
-        now, moves = (start, change.start) if seen is None else (seen, change.seen)
-        return outputs_of(change.moved(plant), slots, x, f, now if moves is None else now + moves, h)
+    def chunk(d, parts):
+        xs, zs, here, changes, rows, moved = parts
+        F = _steps(sampler, xs, zs, here, dsampler, changes)
 
-    still = _zero(along)
-    y = outputs(still, x, f)
-    J = jax.vmap(
-        lambda change, dx, df: jax.jvp(outputs, (still, x, f), (change, dx, df))[1], in_axes=(0, -1, -1), out_axes=-1
-    )(along, d[:, :size], df)
-    return y, J
+        def step(d, F):
+            reached = _product(F[:, :states], d) + F[:, states:]
+            return reached[:states], (d[: x.shape[1]], reached[states:])
+
+        d, (dx, df) = jax.lax.scan(step, d, F)
+        J = jnp.einsum("oi,kip->kop", by_state, dx) + jnp.einsum("os,ksp->kop", by_force, df)
+        J = J + jnp.einsum("pow,kw->kop", dtable, rows)
+        return d, J if moved is None else J + jnp.einsum("oi,kpi->kop", by_input, moved)
+
+    # Samples first, as the chunks are.
+    changes = () if along.start is None else (along.start, along.end - along.start)
+    changes, moves = (jax.tree.map(lambda X: jnp.moveaxis(X, 1, 0), X) for X in (changes, moves))
+    parts = jax.tree.map(_in_chunks, (x, z, series, changes, seen_by, moves))
+    d = jnp.concatenate([dfirst, jnp.zeros((dfirst.shape[0], states - x.shape[1]))], axis=1).T
+    J = jax.lax.scan(chunk, d, parts)[1]
+    return seen_by @ table.T, J.reshape(-1, *J.shape[2:])[: len(x)]
 
 
-def _steps(sampler: Sampler, series: Series, x, z, dsampler, along: Directions):
-    """Derivatives of every sample's (x⁺, z⁺, f) by its (x, z), and along the directions with (x, z) held."""
-    samples, (size, memory, slots) = len(x), (x.shape[1], z[0].size, z.shape[1])
-    moving = along.start is not None
+def _in_chunks(X):
+    X = jnp.pad(X, ((0, -len(X) % CHUNK), *((0, 0),) * (X.ndim - 1)), mode="edge")
+    return X.reshape(len(X) // CHUNK, CHUNK, *X.shape[1:])
 
-    def in_chunks(X, axis=0):
-        X = jnp.moveaxis(X, axis, 0)
-        X = jnp.pad(X, ((0, -samples % CHUNK), *((0, 0),) * (X.ndim - 1)), mode="edge")
-        return X.reshape(X.shape[0] // CHUNK, CHUNK, *X.shape[1:])
 
-    count, states = along.x0.shape[0], size + memory
+def _steps(sampler: Sampler, x, z, here: Series, dsampler, changes):
+    """Derivatives of (x⁺, z⁺, f) of some samples by their (x, z), and then along the directions with (x, z) held."""
+    size, memory = x.shape[1], z[0].size
+    count, states = len(dsampler[1]), size + memory
     # States first, then the directions; what does not move has no tangent.
     unit = jnp.pad(jnp.eye(states), ((0, count), (0, 0)))
     dsampler = jax.tree.map(lambda d: jnp.concatenate([jnp.zeros((states, *d.shape[1:])), d]), dsampler)
-    changes = (along.start, along.end - along.start) if moving else ()
-    changes = tuple(in_chunks(d, 1) for d in changes)
+    x, z = (jnp.moveaxis(X, 0, -1) for X in (x, z))
 
-    def chunk(parts):
-        xs, zs, here, changes = parts
+    def after(moved, x, z, start, rise):
+        rows, values = moved
+        one = Sampler(rows, _with_values(sampler.slots, values), sampler.sampling_time, sampler.substeps, sampler.laws)
+        driven = one.driven(Series(start, rise, here.scheduling, here.change, here.time))
+        new, remembered, f = one(x, z, driven)
+        return jnp.concatenate([new, remembered.reshape(memory, x.shape[-1]), f])
 
-        def after(moved, xs, zs, start, rise):
-            rows, values = moved
-            one = Sampler(
-                rows, _with_values(sampler.slots, values), sampler.sampling_time, sampler.substeps, sampler.laws
-            )
-            driven = one.driven(Series(start, rise, here.scheduling, here.change, here.time))
-            new, remembered, f = one(xs, zs, driven)
-            return jnp.concatenate([new, remembered.reshape(memory, CHUNK), f])
+    def tangent(moved, unit, du):
+        dx = jnp.broadcast_to(unit[:size, None], x.shape)
+        dz = jnp.broadcast_to(unit[size:].reshape(*z.shape[:-1], 1), z.shape)
+        at, inputs = ((sampler.rows, sampler.slots.values), x, z), (here.start, here.rise)
+        if du:
+            return jax.jvp(after, (*at, *inputs), (moved, dx, dz, *du))[1]
+        # Inputs that do not move are known not to.
+        return jax.jvp(lambda *X: after(*X, *inputs), at, (moved, dx, dz))[1]
 
-        xs, zs = (jnp.moveaxis(X, 0, -1) for X in (xs, zs))
-        at = ((sampler.rows, sampler.slots.values), xs, zs, here.start, here.rise)
+    du = tuple(jnp.pad(jnp.moveaxis(d, 1, 0), ((states, 0), (0, 0), (0, 0))) for d in changes)
+    # The direction first, then what is reached, then samples.
+    return jax.vmap(tangent)(dsampler, unit, du).transpose(2, 1, 0)
 
-        def tangent(moved, unit, du):
-            dx = jnp.broadcast_to(unit[:size, None], xs.shape)
-            dz = jnp.broadcast_to(unit[size:].reshape(*zs.shape[:-1], 1), zs.shape)
-            du = du or (jnp.zeros_like(here.start), jnp.zeros_like(here.rise))
-            return jax.jvp(after, at, (moved, dx, dz, *du))[1]
 
-        du = tuple(jnp.pad(jnp.moveaxis(d, 1, 0), ((states, 0), (0, 0), (0, 0))) for d in changes)
-        # The direction first, then what is reached, then samples.
-        return jax.vmap(tangent)(dsampler, unit, du)
-
-    T = jax.lax.map(chunk, (in_chunks(x), in_chunks(z), jax.tree.map(in_chunks, series), changes))
-    T = T.transpose(0, 3, 2, 1).reshape(-1, states + slots, states + count)[:samples]
-    return T[:, :, :states], T[:, :, states:]
+def _product(F, d):
+    """F d as a sum that the compiler fuses."""
+    return sum(F[:, k, None] * d[k] for k in range(F.shape[1]))
 
 
 def _with_values(slots: Slots, values) -> Slots:
