@@ -310,11 +310,11 @@ class Simulator:
             flat = _values(terms)
             y, carried, extra = _output_stage(flat, y, data.u, wide, data.traced_sampling_time, forms(terms))
             y, J, extra = np.asarray(y), np.asarray(carried)[:, :, : J.shape[2]], np.asarray(extra)
-        first = len(columns)
-        picked = [
-            extra[..., k] if kind == "output" else J[..., k if kind == "plant" else first + k] for kind, k in order
-        ]
-        return _ended(data, y), _ended(data, np.stack(picked, axis=-1))
+        # Series stand behind the columns of the plant, and outputs' own parameters behind both.
+        behind = {"plant": 0, "series": len(columns), "output": J.shape[2]}
+        J = J if extra is None else np.concatenate([J, extra], axis=2)
+        picked = [behind[kind] + k for kind, k in order]
+        return _ended(data, y), _ended(data, J if picked == list(range(J.shape[2])) else J[:, :, picked])
 
 
 def _acting(candidate: Candidate, record: int) -> Candidate:
