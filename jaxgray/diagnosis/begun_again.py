@@ -4,11 +4,13 @@ Where its shape has little slope between one value and the next, a refit ends wh
 many values are scored by least squares, and the best are refitted.
 """
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
 
 from ..mechanics.effects.base import Term
+from ..numerics.side_by_side import side_by_side
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .features import features
@@ -50,17 +52,19 @@ def from_other_values(
     """
     chain = chain_of(bench, fit)
     data, options = bench.data[0], {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
+
+    def begun(candidate: Candidate, white: Chain) -> tuple[Refit, Chain] | None:
+        again = refit(bench.simulator, candidate, bench.data, white, **options)
+        return None if again is None else (again, chain_of(bench, again))
+
     for _ in range(TURNS):
-        term = fit.candidate.terms[-1]
+        candidate, term = fit.candidate, fit.candidate.terms[-1]
         system = sampled_plant(bench.simulator.plant(fit.candidate), data, bench.simulator.setup.dofs)
         white = white_chain(fit.residual[0], data.kept, system)
-        tried = []
-        for values in chosen(fit, white):
-            terms = (*fit.candidate.terms[:-1], Term(term.effect, term.place, values))
-            again = refit(bench.simulator, fit.candidate.with_terms(terms), bench.data, white, **options)
-            if again is not None:
-                tried.append((again, chain_of(bench, again)))
-        best = min(tried, key=lambda one: one[1].cost, default=(fit, chain))
+        others = [Term(term.effect, term.place, values) for values in chosen(fit, white)]
+        starts = [candidate.with_terms((*candidate.terms[:-1], other)) for other in others]
+        tried = side_by_side(functools.partial(begun, white=white), starts)
+        best = min(filter(None, tried), key=lambda one: one[1].cost, default=(fit, chain))
         if not best[1].cost < chain.cost - worth:
             break
         fit, chain = best

@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 
+from ..numerics.side_by_side import side_by_side
 from .begun_again import something_left
 from .bench import Bench
 from .extension import refit
@@ -60,7 +61,12 @@ def by_free_runs(bench: Bench, growth: Growth, ranked: list[Attempt]) -> list[At
     chain = white_chain(here.e, bench.data[0].kept, here.system)
     # A mode rings as coloured noise does.
     lasting = [a for a in ranked if not is_local(bench, a.name[0]) and not adds_mode(a.score.shape.effect)]
-    free = [dataclasses.replace(by_free_run(bench, growth, attempt), chain=chain) for attempt in lasting]
+
+    def free_of(attempt):
+        bench.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
+        return dataclasses.replace(by_free_run(bench, growth, attempt), chain=chain)
+
+    free = side_by_side(free_of, lasting)
     return [attempt for attempt in compared(bench, here, free) if attempt.delta_bic > CLEAR]
 
 

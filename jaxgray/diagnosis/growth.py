@@ -196,11 +196,10 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
         tried = set(attempts) | {(one.effect, one.location) for one in growth.rejected[before:]}
         ids = standing_for(ranked[0].name[0]) - {effect for effect, _ in tried}
         others = unheard(ids, screening, closer, tried)
-        late = [instead_of(bench, stage, ranked[0], scores, growth.rejected) for scores in others]
+        late = instead_of(bench, stage, ranked[0], others, growth.rejected)
         behind = _given_up(growth.rejected[before:], list(attempts.values()))
         late += left_behind(bench, stage, ranked[0], behind, (closer, screening), growth.rejected)
-        if any(late):
-            ranked = compared(bench, stage, ranked + [attempt for attempt in late if attempt is not None])
+        ranked = compared(bench, stage, ranked + late) if late else ranked
     ranked = simplified(ranked)
     growth.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked

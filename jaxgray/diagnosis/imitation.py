@@ -11,6 +11,7 @@ import numpy as np
 
 from ..mechanics.effects.base import AbstractForceEffect
 from ..mechanics.extended import arm_of
+from ..numerics.side_by_side import side_by_side
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .features import Motion, Shape, forces_of
@@ -54,8 +55,9 @@ def left_behind(
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
     found = [_imitating(bench, best.fit, list(scores[name].values())) for name in sorted(scores)]
     near = sorted((pair for pair in found if pair[0] < ALIKE), key=lambda pair: pair[0])[:NEARBY]
-    attempts = [_begun_again(bench, stage, best, *one, rejected) for _, one in near]
-    return [attempt for attempt in attempts if attempt is not None]
+    ends = side_by_side(lambda pair: _begun_again(bench, stage, best, *pair[1]), near)
+    rejected += [end for end in ends if isinstance(end, Rejected)]
+    return [end for end in ends if isinstance(end, Attempt)]
 
 
 def _imitating(bench: Bench, fit: Refit, scores: list[Score]) -> tuple[float, tuple[Score, Candidate]]:
@@ -95,9 +97,9 @@ def _left(rows: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def _begun_again(
-    bench: Bench, stage: Stage, best: Attempt, score: Score, begin: Candidate, rejected: list[Rejected]
-) -> Attempt | None:
-    """The refit of a law from where it imitates the best one; None where it ends far behind again."""
+    bench: Bench, stage: Stage, best: Attempt, score: Score, begin: Candidate
+) -> Attempt | Rejected | None:
+    """The refit of a law from where it imitates the best one, or that it ends as another; None where far behind."""
     shape = score.shape
     bench.progress.stage(f"refitting {shape.effect.id} at {shape.place.name}")
     options = {"held": bench.held, "tolerance": ROUGH}
@@ -108,6 +110,5 @@ def _begun_again(
         return None
     end = pursued(bench, fit)
     if (other_law := unresolved(end, score)) is not None:
-        rejected.append(Rejected(shape.effect.id, shape.place.name, score.delta_bic, other_law))
-        return None
+        return Rejected(shape.effect.id, shape.place.name, score.delta_bic, other_law)
     return by_contact(bench, Attempt(score, end, chain_of(bench, end)), stage)

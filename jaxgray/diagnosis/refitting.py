@@ -25,6 +25,9 @@ HOPELESS = 100.0
 """Distance in criterion from the best first refit beyond which a candidate is not pursued; its refit is given up at
 twice this."""
 
+TOGETHER = 2
+"""First refits beside one another, which know the best of those before them; as many on any machine."""
+
 STANDING_ALIKE = 10.0
 """Difference of BIC within which two laws that are easily alike count as one class."""
 
@@ -118,15 +121,19 @@ def _outright(
 ) -> dict[tuple[str, str], tuple[Score, Refit]]:
     """Refits from the model without the candidate, under one chain first, then those that are left to their end."""
     rough: dict[tuple[str, str], tuple[float, Score, Refit]] = {}
-    best, unlike = np.inf, {}
-    for k, scores in enumerate(listed):
-        name = _name(scores[0])
-        bench.progress.stage(f"refitting {name[0]} at {name[1]}", fraction=k / len(listed))
-        for score in scores:
-            fit = first_fit(bench, stage, score, chain, best)
+    starts, best, unlike = [score for scores in listed for score in scores], np.inf, {}
+
+    def first(k):
+        effect, place = _name(starts[k])
+        bench.progress.stage(f"refitting {effect} at {place}", fraction=k / len(starts))
+        return first_fit(bench, stage, starts[k], chain, best)
+
+    for begin in range(0, len(starts), TOGETHER):
+        together = range(len(starts))[begin : begin + TOGETHER]
+        for score, fit in zip(starts[begin:], side_by_side(first, together)):
             if fit is None:
                 continue
-            criterion = criterion_of(bench, score, fit)
+            name, criterion = _name(score), criterion_of(bench, score, fit)
             if (why := unresolved(fit, score)) is not None:
                 # Another law under this one's name, which others must not be measured by.
                 unlike[name] = why
@@ -134,7 +141,8 @@ def _outright(
             best = min(best, criterion)
             if name not in rough or criterion < rough[name][0]:
                 rough[name] = criterion, score, fit
-        if name not in rough:
+    for scores in listed:
+        if (name := _name(scores[0])) not in rough:
             why = unlike.get(name, "its refit could not be simulated")
             rejected.append(Rejected(*name, scores[0].delta_bic, why))
     going: dict[tuple[str, str], tuple[Score, Refit]] = {}

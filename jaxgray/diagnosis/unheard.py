@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..mechanics.effects.base import Term
+from ..numerics.side_by_side import side_by_side
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .judgement import ACCEPTED
@@ -39,11 +40,21 @@ def unheard(
 
 
 def instead_of(
-    bench: Bench, stage: Stage, best: Attempt, scores: list[Score], rejected: list[Rejected]
-) -> Attempt | None:
-    """The refit of a law that stands in the place of the best one, from where the best one's refit ended: parameters
-    of the same name begin with the same values; under the name that its contact gives it. None where it ends far
-    behind."""
+    bench: Bench, stage: Stage, best: Attempt, listed: list[list[Score]], rejected: list[Rejected]
+) -> list[Attempt]:
+    """Refits of laws that stand in the place of the best one, those that do not end far behind it.
+
+    **Arguments:** `bench`; `stage`: without the best one; `best`; `listed`: scores of every law to hear; `rejected`:
+    takes those that end far behind.
+    """
+    heard = side_by_side(lambda scores: _heard(bench, stage, best, scores), listed)
+    rejected += [end for end in heard if isinstance(end, Rejected)]
+    return [end for end in heard if isinstance(end, Attempt)]
+
+
+def _heard(bench: Bench, stage: Stage, best: Attempt, scores: list[Score]) -> Attempt | Rejected:
+    """The refit of a law from where the best one's refit ended, or why there is none: parameters of the same name begin
+    with the same values; under the name that its contact gives it."""
     name = scores[0].shape.effect.id, scores[0].shape.place.name
     bench.progress.stage(f"refitting {name[0]} at {name[1]}")
     chain, fit = best.chain, best.fit
@@ -65,13 +76,10 @@ def instead_of(
             if np.array_equal(alike, shape.values):
                 break
     if found is None:
-        rejected.append(Rejected(*name, scores[0].delta_bic, "its refit could not be simulated"))
-        return None
+        return Rejected(*name, scores[0].delta_bic, "its refit could not be simulated")
     behind = criterion_of(bench, *found) - most + HOPELESS
     if behind > HOPELESS:
-        why = f"{WEAKER} (by {behind:.0f})"
-        rejected.append(Rejected(*name, scores[0].delta_bic, why))
-        return None
+        return Rejected(*name, scores[0].delta_bic, f"{WEAKER} (by {behind:.0f})")
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
     end = pursued(bench, found[1])
     return by_contact(bench, Attempt(found[0], end, chain_of(bench, end)), stage)
