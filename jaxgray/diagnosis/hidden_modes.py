@@ -6,14 +6,16 @@ residual taken as white is refitted and judged by what it is worth then.
 """
 
 from ..mechanics.effects.disturbance import PeriodicDisturbance
+from ..numerics.side_by_side import side_by_side
 from .bench import Bench, chain_of
 from .credit import CLEAR
+from .extension import Refit
 from .judgement import ACCEPTED
 from .pursuit import pursued
 from .refitting import Attempt, compared, first_fit
 from .residual import white_chain
 from .screening import Score, Screening
-from .shortlist import adds_mode, at_lines
+from .shortlist import adds_mode, at_lines, begun_at
 from .stage import Stage
 
 
@@ -22,7 +24,7 @@ def hidden_modes(bench: Bench, stage: Stage, screening: Screening, tried: frozen
 
     **Arguments:** `bench`; `stage`; `screening`: of that stage; `tried`: effects and places that were refitted already.
     Where the gate fires or the residual rings, every place is tried, otherwise those where a mode would explain
-    something.
+    something: the first of them from every line of the residual, the others from where that one ended.
     """
     line = next((score for score in screening.first if score.shape.effect.id == PeriodicDisturbance.id), None)
     anywhere = screening.fires or (line is not None and line.delta_bic > CLEAR)
@@ -31,13 +33,28 @@ def hidden_modes(bench: Bench, stage: Stage, screening: Screening, tried: frozen
         effect, name = score.shape.effect, (score.shape.effect.id, score.shape.place.name)
         if adds_mode(effect) and (anywhere or score.delta_bic >= ACCEPTED) and name not in tried:
             listed.setdefault(name, score)
-    attempts = []
     chain = white_chain(stage.e, bench.data[0].kept, stage.system)
-    for (effect, place), score in listed.items():
+    best: dict[tuple[str, str], Refit] = {}
+
+    def begun(one):
+        (effect, place), start = one
         bench.progress.stage(f"refitting {effect} at {place}")
-        fits = [first_fit(bench, stage, start, chain, float("inf")) for start in (score, *at_lines(score))]
-        best = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
-        if best is not None:
-            end = pursued(bench, best)
-            attempts.append(Attempt(score, end, chain_of(bench, end)))
-    return compared(bench, stage, attempts)
+        return first_fit(bench, stage, start, chain, float("inf"))
+
+    def begin(starts):
+        for (name, _), fit in zip(starts, side_by_side(begun, starts)):
+            if fit is not None and (name not in best or fit.cost < best[name].cost):
+                best[name] = fit
+
+    def ended(name):
+        bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
+        end = pursued(bench, best[name])
+        return Attempt(listed[name], end, chain_of(bench, end))
+
+    for effect_id in dict.fromkeys(effect for effect, _ in listed):
+        (name, score), *others = [item for item in listed.items() if item[0][0] == effect_id]
+        begin([(name, start) for start in (score, *at_lines(score))])
+        # A structure rings at the same frequency wherever the mass is, and little differs but how heavy it seems.
+        found = [begun_at(other, best[name].candidate.terms[-1].values) for _, other in others if name in best]
+        begin([*others, *((other, start) for (other, _), start in zip(others, found))])
+    return compared(bench, stage, side_by_side(ended, best))

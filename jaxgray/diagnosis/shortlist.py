@@ -78,12 +78,16 @@ def at_lines(score: Score) -> list[Score]:
     To first order the line of a heavy mass says little: it rings with the structure, which has taken part of it upon
     itself.
     """
-    effect, shape = score.shape.effect, score.shape
-    if not adds_mode(effect):
+    if not adds_mode(score.shape.effect):
         return []
-    values = [np.array([frequency, *LINE_START]) for frequency in dict.fromkeys(shape.scales.lines_hz)]
-    ones = np.ones(len(score.weights))
-    return [dataclasses.replace(score, shape=dataclasses.replace(shape, values=v), weights=ones) for v in values]
+    lines = dict.fromkeys(score.shape.scales.lines_hz)
+    return [begun_at(score, np.array([frequency, *LINE_START])) for frequency in lines]
+
+
+def begun_at(score: Score, values: np.ndarray) -> Score:
+    """A score of an effect that begins with other values."""
+    shape = dataclasses.replace(score.shape, values=np.asarray(values, dtype=float))
+    return dataclasses.replace(score, shape=shape, weights=np.ones(len(score.weights)))
 
 
 def adds_mode(effect: AbstractEffect) -> bool:
