@@ -39,9 +39,10 @@ EXPLAINED = 0.1
 """Least share of the remaining power of the force that a finding must explain."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
-    """A refitted candidate: `fit` with it, `delta_bic` against the model without, `explained` power."""
+    """A refitted candidate: `fit` with it, `delta_bic` against the model without, `explained` power. Equal to itself
+    alone."""
 
     fit: ForceFit
     delta_bic: float
