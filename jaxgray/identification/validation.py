@@ -120,7 +120,7 @@ def residual_test(
     The band of the cross-correlation allows for the colour of both (Bartlett's formula); inputs are whitened by an AR
     model first, so that a slow input does not spread one correlation over many lags. Correlation with past or future
     inputs is judged over all lags at once, both whitened, with the covariance that the input's own correlation gives.
-    An input at the same sample speaks for feedback where those before explain nothing.
+    An input at the same sample, alone or with the one after, speaks for feedback where those before explain nothing.
 
     **Arguments:** `residual`: missing samples NaN (taken as zero); `u`; `lags`.
 
@@ -163,7 +163,8 @@ def residual_test(
             late |= _chance(c[lags + 1 :], own[lags:], n) * pairs < 0.01
             for reach in (lags, NEAR):
                 early |= _follows(steady[:, k], calm, calm_own[lags:], range(-reach, 0), pairs)
-            at_once |= _follows(steady[:, k], calm, calm_own[lags:], range(0, 1), pairs)
+            for first in (0, -1):
+                at_once |= _follows(steady[:, k], calm, calm_own[lags:], range(first, 1), pairs)
     feedback = early or (at_once and not late)
     return ResidualTest(auto[lags + 1 :], cross, quantile / np.sqrt(n), bands, white, late, feedback, early)
 
