@@ -80,22 +80,29 @@ def along_the_valley(bench: Bench, fit: Refit) -> Refit:
 
 
 def sharpened(bench: Bench, fit: Refit) -> Refit:
-    """A refit in shorter steps of its added forces, where the error of the steps could be told from noise.
+    """A refit in shorter steps of its added forces, where the error of the steps could be told from noise and mending
+    it pays.
 
     The simulator keeps the shorter steps.
     """
+    steps, before = bench.simulator.substeps, chain_of(bench, fit)
+    trial, error = in_short_steps(bench, fit)
+    if trial is fit or error > TOLERABLE or chain_of(bench, trial).cost < before.cost - 2.0:
+        return trial
+    bench.simulator.substeps = steps
+    return fit
+
+
+def in_short_steps(bench: Bench, fit: Refit) -> tuple[Refit, float]:
+    """A refit in steps so short that their error cannot be told from noise, itself where it is so already, and the
+    error of its own steps; the simulator takes the shorter steps from then on."""
     simulator, steps = bench.simulator, bench.simulator.substeps
     error = integration_error(bench, fit)
     rows = rows_of(bench.data[0])
     if error**2 * rows < 1.0 or steps >= MOST_STEPS:
-        return fit
-    before = chain_of(bench, fit)
+        return fit, error
     simulator.substeps = min(MOST_STEPS, steps * 2 ** int(np.ceil(np.log2(2 * error * np.sqrt(rows)))))
-    trial = at_the_same_steps(bench, fit)
-    if error > TOLERABLE or chain_of(bench, trial).cost < before.cost - 2.0:
-        return trial
-    simulator.substeps = steps
-    return fit
+    return at_the_same_steps(bench, fit), error
 
 
 def at_the_same_steps(bench: Bench, fit: Refit) -> Refit:

@@ -9,7 +9,7 @@ from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .grown import Growth, held_out_run, stage_of_candidate
 from .judgement import evidence
-from .pursuit import ROUGH
+from .pursuit import ROUGH, in_short_steps
 from .refitting import Attempt, moving
 from .residual import Chain
 from .result import Rejected
@@ -23,7 +23,7 @@ STEPS = 10
 def rejudge(bench: Bench, growth: Growth) -> None:
     """Refit every rival in its finding's place in the model with all findings. Those that are far behind leave the
     class; one that is far ahead takes the place. The last finding's rivals were refitted there, unless it took in a law
-    that it contains."""
+    that it contains. At the end all is refitted in steps whose error cannot be told from noise."""
     if growth.fit is not None:
         fewer = at_fewer_everywhere(bench, growth.fit, max_steps=STEPS, tolerance=ROUGH)
         if fewer is not growth.fit:
@@ -33,6 +33,11 @@ def rejudge(bench: Bench, growth: Growth) -> None:
         if k < last and accepted.rivals or any(np.isinf(rival.criterion) for rival in accepted.rivals):
             bench.progress.stage(f"judging rivals of {growth.accepted[k].attempt.name[0]} again")
             _class_again(bench, growth, k)
+    if growth.fit is not None:
+        # The error of the steps, that no decision waited for, would be one of the values beyond their error bars.
+        fine, _ = in_short_steps(bench, growth.fit)
+        if fine is not growth.fit:
+            _go_on(bench, growth, fine)
 
 
 def _class_again(bench: Bench, growth: Growth, k: int) -> None:
