@@ -89,6 +89,9 @@ def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffe
     closer = None
     if not screening.fires and not _strong(screening):
         closer = _behind_the_noise(bench, growth.stage, screening)
+        if closer is None and wrong_entries(bench, growth.stage, screening, least=CLEAR):
+            # A run that is out of step shows no entry to first order, and all it leaves passes for noise at the forces.
+            closer = _closer(bench, growth.stage, screening)
         if closer is None:
             hidden = left > 0 and _accepted(bench, growth, hidden_modes(bench, growth.stage, screening))
             return 1 if hidden else None

@@ -62,8 +62,9 @@ def identified(simulator: Simulator, records: list[Record], data: list[Data], op
     return Identified(entries, H[:n, :n] - across @ H[n:, :n])
 
 
-def wrong_entries(bench: Bench, stage: Stage, screening: Screening) -> list[Score]:
-    """Scores of the entries that the identified model says are wrong, with the sizes to begin from, best first."""
+def wrong_entries(bench: Bench, stage: Stage, screening: Screening, *, least: float = 0.0) -> list[Score]:
+    """Scores of the entries that the identified model says are wrong, with the sizes to begin from, best first; those
+    alone that would lower the sum of squares by at least so much, in units of the noise variance."""
     found = bench.identified
     if found is None:
         return []
@@ -81,8 +82,8 @@ def wrong_entries(bench: Bench, stage: Stage, screening: Screening) -> list[Scor
         moved = effect.matrices(np.ones(1), *matrices, first, second)
         along = setup.entries_of(*moved) - here
         curvature = float(along @ found.information @ along)
-        if curvature > 0:
+        if curvature > 0.0:
             size = float(along @ found.information @ (found.entries - here)) / curvature
             ranked.append((size**2 * curvature, dataclasses.replace(score, weights=np.array([size]))))
     ranked.sort(key=lambda pair: -pair[0])
-    return [score for _, score in ranked[:COUNT]]
+    return [score for worth, score in ranked[:COUNT] if worth > least]

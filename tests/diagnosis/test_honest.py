@@ -128,9 +128,10 @@ def test_the_users_own_numbers_are_judged(entry):
     check_parameter(finding.parameters["delta"], -wrong, "delta", str(diagnosis))
 
 
-@pytest.mark.parametrize("seed", [[80441, 12, 0], [80441, 16, 5]])
+@pytest.mark.parametrize("seed", [[80441, 12, 0], [80441, 16, 5], [100010, 12, 17], [100004, 16, 3]])
 def test_a_mass_that_puts_the_free_run_out_of_step_is_found_alone_and_with_friction(seed):
-    # Two records of a campaign: 5 % of a mass had been said to be a step of it, and friction to be wrong damping.
+    # Records of campaigns: 5 % of a mass had been said to be a step of it, friction to be wrong damping, the whole to
+    # be noise at the forces, and friction was off by 3.3 standard errors, for the error of the steps.
     rng, size = np.random.default_rng(seed), {"dofs": (1, 2, 3), "samples": 3000}
     if seed[1] == 12:
         case = hidden.null_case(rng, "white", **size)
@@ -145,6 +146,9 @@ def test_a_mass_that_puts_the_free_run_out_of_step_is_found_alone_and_with_frict
     assert (first.effect, first.location) == ("mass_error", f"y{at + 1}"), str(diagnosis)
     check_parameter(first.parameters["delta"], -wrong, "delta", str(diagnosis))
     assert [f.effect for f in others] == [effect.id for effect in case.effects], str(diagnosis)
+    for found, effect in zip(others, case.effects):
+        friction = found.parameters["Fc"]
+        assert abs(friction.value - effect.parameters["Fc"]) < 2 * friction.standard_error, str(diagnosis)
 
 
 @pytest.mark.parametrize("effect_id", hidden.RAW)
