@@ -15,7 +15,7 @@ from .grown import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
 from .hidden_modes import hidden_modes
 from .imitation import left_behind
 from .judgement import ACCEPTED, at_bound
-from .own_model import wrong_entries
+from .own_model import beside_laws, wrong_entries
 from .problem import Candidate
 from .pruning import prune
 from .refitting import WEAKER, Attempt, attempts_of, compared, unresolved
@@ -57,7 +57,6 @@ def grow(
     growth.runs = growth.baseline_runs
     if errors:
         _extend(dataclasses.replace(bench, catalogue=errors), growth, max_errors, errors)
-    bench = dataclasses.replace(bench, identified=None)
     _extend(bench, growth, max_effects, (*bench.catalogue, FlexibleForce()))
     rejudge(bench, growth)
     return growth
@@ -71,7 +70,7 @@ def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEff
 
 def _rounds(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEffect, ...]) -> None:
     turn, free = 0, SPARED
-    while (used := _round(bench, growth, most - turn, searched)) is not None:
+    while (used := _round(beside_laws(bench, growth.stage), growth, most - turn, searched)) is not None:
         turn, free = (turn, free - 1) if used == 0 and free else (turn + 1, free)
 
 

@@ -13,13 +13,15 @@ from jaxtyping import Float
 from ..identification import identify
 from ..identification.conic import pseudo_inverse
 from ..mechanics.drives import Force
-from ..mechanics.effects.base import AbstractMatrixEffect
+from ..mechanics.effects import MODEL_ERRORS
+from ..mechanics.effects.base import AbstractEffect
 from ..mechanics.simulate import initial_state
 from ..numerics.outcomes import ComputationError
 from ..records import Record
 from .bench import Bench
 from .equations import Equations
-from .extension import Layout
+from .extension import Layout, refit
+from .judgement import ACCEPTED
 from .problem import Candidate, Data
 from .residual import white_chain
 from .response import Simulator
@@ -29,12 +31,17 @@ from .stage import Stage, sampled_plant
 COUNT = 3
 """Entries of a round that are begun so."""
 
+STEPS = 20
+"""Of the refit of all entries beside the laws that were found."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Identified:
-    """`entries`: joined blocks θ̂ of the identified M, D, K; `information`: H of them, first states taken out."""
+    """`entries`: joined blocks θ̂ of the identified M, D, K; `x0`: first states; `information`: H of the entries, first
+    states and laws taken out."""
 
     entries: Float[np.ndarray, " entries"]
+    x0: tuple[Float[np.ndarray, " states"], ...]
     information: Float[np.ndarray, "entries entries"]
 
 
@@ -53,16 +60,39 @@ def identified(simulator: Simulator, records: list[Record], data: list[Data], op
     x0 = tuple(initial_state(found.model, r.u, r.y, r.sampling_time, hold=r.hold)[0] for r in records)
     candidate = Candidate(entries, x0)
     e = np.where(data[0].kept, data[0].y - simulator.run(candidate, data[0]), 0.0)
+    return _informed(simulator, data, candidate, e)
+
+
+def _informed(simulator: Simulator, data: list[Data], candidate: Candidate, e: np.ndarray) -> Identified | None:
+    """What the records say of the entries of a candidate that leaves `e` of the first; None where it overflows."""
     chain = white_chain(e, data[0].kept, sampled_plant(simulator.plant(candidate), data[0], simulator.setup.dofs))
     made = Equations(simulator, data, chain, Layout(simulator.setup, candidate))(candidate)
     if made is None:
         return None
-    H, n = made[0], len(entries)
+    H, n = made[0], len(candidate.entries)
     across = H[:n, n:] @ pseudo_inverse(H[n:, n:])
-    return Identified(entries, H[:n, :n] - across @ H[n:, :n])
+    return Identified(candidate.entries, candidate.x0, H[:n, :n] - across @ H[n:, :n])
 
 
-def wrong_entries(bench: Bench, stage: Stage, screening: Screening, *, least: float = 0.0) -> list[Score]:
+def beside_laws(bench: Bench, stage: Stage) -> Bench:
+    """A bench whose identified model has the laws that were found so far, too; they hide what is wrong of the entries,
+    as wrong entries hide laws. As it is where there are none, or none is identified with them."""
+    laws = tuple(term for term in stage.candidate.terms if not _is_entry(term.effect))
+    if bench.identified is None or not laws:
+        return bench
+    begin = Candidate(bench.identified.entries, bench.identified.x0, laws)
+    chain = white_chain(stage.e, bench.data[0].kept, stage.system)
+    free = np.zeros(len(begin.entries), bool)
+    fit = refit(bench.simulator, begin, bench.data, chain, held=free, max_steps=STEPS)
+    found = None if fit is None else _informed(bench.simulator, bench.data, fit.candidate, fit.residual[0])
+    return bench if found is None else dataclasses.replace(bench, identified=found)
+
+
+def _is_entry(effect: AbstractEffect) -> bool:
+    return effect.id in {error.id for error in MODEL_ERRORS}
+
+
+def wrong_entries(bench: Bench, stage: Stage, screening: Screening, *, least: float = ACCEPTED) -> list[Score]:
     """Scores of the entries that the identified model says are wrong, with the sizes to begin from, best first; those
     alone that would lower the sum of squares by at least so much, in units of the noise variance."""
     found = bench.identified
@@ -74,7 +104,7 @@ def wrong_entries(bench: Bench, stage: Stage, screening: Screening, *, least: fl
     ranked = []
     for score in screening.best_by_place().values():
         effect, place = score.shape.effect, score.shape.place
-        if not isinstance(effect, AbstractMatrixEffect) or effect.extra:
+        if not _is_entry(effect):
             continue
         first, second = np.eye(setup.dofs)[place.first], np.zeros(setup.dofs)
         if place.second >= 0:

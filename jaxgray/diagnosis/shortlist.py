@@ -63,6 +63,11 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
         inside = any((simpler, key[1]) in simple for simpler in score.shape.effect.contains)
         if inside and key not in chosen and score.delta_bic > ACCEPTED:
             chosen[key] = []
+    # What a law may turn out to be must not go unheard.
+    turns = {
+        (law, key[1]) for table in tables for key in table if key in chosen for law in table[key].shape.effect.becomes
+    }
+    chosen |= {key: [] for key in sorted(turns) if key not in chosen and any(key in table for table in tables)}
     for key, scores in chosen.items():
         for table in tables:
             if key in table and not any(same_start(table[key], s) for s in scores):

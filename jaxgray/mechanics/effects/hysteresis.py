@@ -87,6 +87,7 @@ class BoucWenHysteresis(AbstractForceEffect):
         Parameter("gamma", (0, -1, 0)),
     )
     parity = "odd"
+    becomes = ("coulomb_friction",)
     signature = "rate-independent loop with memory; loop and energy are determined better than beta and gamma"
     reference = "Wen, ASCE J. Eng. Mech. Div. 102 (1976) 249-263"
     places = "spring"
@@ -137,6 +138,7 @@ class MaxwellSlipHysteresis(AbstractForceEffect):
         Parameter("d", (0, 1, 0), lower=0.0),
     )
     parity = "odd"
+    becomes = ("coulomb_friction",)
     signature = "loop made of straight pieces, with memory of reversals"
     reference = "Iwan, J. Appl. Mech. 33 (1966) 893-900"
     places = "spring"

@@ -135,6 +135,7 @@ class SineStiffness(AbstractForceEffect):
         Parameter("length", (0, 1, 0), lower=0.0),
     )
     parity = "odd"
+    becomes = ("cubic_stiffness",)
     signature = "softening with a bounded force"
     reference = "Nayfeh & Mook, Nonlinear Oscillations, Wiley 1979, §2.1.1"
     places = "spring"
