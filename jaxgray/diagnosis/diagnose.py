@@ -31,6 +31,7 @@ from .belief import residual_rms
 from .bench import Bench
 from .competitor import FlexibleForce
 from .compiling import compiling_ahead
+from .enough import check_enough
 from .experiment import next_experiment
 from .gain import gain_of
 from .grown import Growth
@@ -125,6 +126,7 @@ def diagnose(
     if model is not None:
         searched = MODEL_ERRORS + searched
     used, unseen = [without_defects(r) for r in records], [without_defects(r) for r in held]
+    check_enough(used, unseen)
     with compiling_ahead(used, FORCES, searched, model, options):
         found = _of_clean_records(used, unseen, separate, model, searched, max_effects, seed, progress, options)
     cleaned = [*used, *found.records]

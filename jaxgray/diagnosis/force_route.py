@@ -145,14 +145,16 @@ def search_once(
     """
     progress.stage("setting up the force equation")
     E = np.asarray(drive.input_map)
-    cutoff = min(band_of(_filled(r), r.sampling_time) for r in records)
+    cutoff = min(map(band_of, records))
     left_out = samples_of(pushes, records + held)
     series = [series_of(r, cutoff, left_out=mask) for r, mask in zip(records, left_out)]
     everything = [series_of(r, cutoff, at_rest=True, left_out=mask) for r, mask in zip(records + held, left_out)]
     equation = Equation(series, E)
     if min(len(s.rows) for s in series) < 4 * equation.entries + 8:
         raise ComputationError(
-            RESULTS.too_short, stage="force equation", detail=f"{len(series[0].rows)} rows below {cutoff:.3g} Hz"
+            RESULTS.too_short,
+            stage="force equation",
+            detail=f"{min(len(s.rows) for s in series)} rows of motion below {cutoff:.3g} Hz in the shortest record",
         )
     length = window_samples(records + held)
     windows = Windows(records + held, everything, length, left_out)
@@ -175,11 +177,6 @@ def search_once(
         _backward(search)
     _recount(search)
     return search
-
-
-def _filled(record: Record) -> np.ndarray:
-    known = np.all(np.isfinite(record.y), axis=1)
-    return record.y[known]
 
 
 def _settled(equation: Equation, terms: tuple[Term, ...]) -> ForceFit | None:

@@ -68,17 +68,18 @@ def around_samples(start, end):
     return (start + before) / 2
 
 
-def band_of(y: Float[np.ndarray, "samples outputs"], sampling_time: float) -> float:
-    """Cut-off frequency [Hz]: where the spectrum of the motion meets its noise; the lowest over the outputs.
+def band_of(record: Record) -> float:
+    """Cut-off frequency [Hz]: where the spectrum of the motion meets its noise, missing samples left out; the lowest
+    over the outputs.
 
     Spectra are taken of second differences, so that slow large motion does not leak into the rest; the noise is the
     median of the upper half.
     """
-    samples = len(y)
-    length = max(min(4096, samples // 4), min(samples, 32))
+    samples, sampling_time = record.samples, record.sampling_time
     lowest, highest = 8.0 / (samples * sampling_time), 0.2 / sampling_time
     found = highest
-    for column in y.T:
+    for column in (one[np.isfinite(one)] for one in record.y.T):
+        length = max(min(4096, len(column) // 4), min(len(column), 32))
         frequency, power = scipy.signal.welch(np.diff(column, 2), 1.0 / sampling_time, nperseg=length)
         power = power[1:] / np.maximum(2 * np.sin(np.pi * frequency[1:] * sampling_time), 1e-12) ** 4
         noise = np.median(power[len(power) // 2 :])

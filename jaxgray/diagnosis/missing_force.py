@@ -101,8 +101,7 @@ class _Equation:
         static = not np.any(np.asarray(model.mass))
         if static or not isinstance(model.drive, Force) or "acceleration" in record.measured:
             return None
-        cutoff = band_of(np.nan_to_num(record.y), record.sampling_time)
-        series = series_of(record, cutoff, at_rest=True)
+        series = series_of(record, band_of(record), at_rest=True)
         if len(series.rows) < 10:
             return None
         E = np.asarray(input_matrix_of(model.drive))
@@ -233,7 +232,8 @@ def _in_sample(diagnosis: Diagnosis) -> Curves:
 def _output(diagnosis: Diagnosis, curves: Curves, place: int, effect: str, location: str) -> MissingForce:
     model, record = diagnosis.baseline.model, diagnosis.records[0]
     samples = min(len(curves.time), record.samples)
-    kept = slice(None, samples, -(-samples // MOST_ROWS))
+    known = np.isfinite(curves.measured + curves.baseline + curves.extended)[:samples, place]
+    kept = np.flatnonzero(known)[:: max(-(-int(known.sum()) // MOST_ROWS), 1)]
     name, unit = model.output_names[place], model.output_units[place]
     h = float(np.median(np.diff(curves.time)))
     slope = np.gradient(curves.baseline[:, place], h)

@@ -110,7 +110,8 @@ def _simplify(bench: Bench, growth: Growth) -> None:
     known = {effect.id: effect for effect in bench.catalogue}
     for k, accepted in enumerate(growth.accepted):
         term = growth.fit.candidate.terms[k]
-        for simpler in (known[name] for name in term.effect.contains if name in known):
+        inside = {t.effect.id for t in growth.fit.candidate.terms if t.place == term.place}
+        for simpler in (known[name] for name in term.effect.contains if name in known and name not in inside):
             values = dict(zip((p.name for p in term.effect.parameters), np.array(term.values, dtype=float)))
             # The width over which a sign turns is nothing where the law with more in it has none.
             values = {p.name: 0.0 for p in simpler.parameters if not p.counts} | values

@@ -73,7 +73,12 @@ def begin(
             records, held, drive, catalogue, max_effects, identification=identification, rng=rng, progress=progress
         )
     if route == "force equation":
-        search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+        try:
+            search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+        except ComputationError:
+            if identification is None:
+                raise
+            return identification
         # What the force equation does not hear, a free run may that is poor, but not without use.
         if search.taken or identification is None or _fit(identification) < USELESS:
             return force_diagnosis(search, identification)

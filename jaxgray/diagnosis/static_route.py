@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..identification import Identification
+from ..identification.structure_test import ROUNDING
 from ..identification.validation import fit_of
 from ..mechanics.drives import AbstractDrive, Force
 from ..mechanics.effects.base import AbstractEffect, AbstractInputEffect, Term, places_of
@@ -79,7 +80,9 @@ def static_diagnosis(
     rejected: list[Rejected] = []
     strong = False
     effects = [e for e in catalogue if isinstance(e, AbstractInputEffect)]
-    for _ in range(max_effects):
+    for turn in range(max_effects + 1):
+        if rounding_of(base_runs[0], records):
+            break
         accepted = {trial.name for trial, _, _ in taken}
         trials = []
         for effect in effects:
@@ -97,6 +100,8 @@ def static_diagnosis(
             elif trial.delta_bic > 0:
                 rejected.append(Rejected(*trial.name, trial.delta_bic, why))
         strong = bool(passed)
+        if turn == max_effects:
+            break
         found = None
         for trial in passed:
             new = problem.run(trial.fit), later.run(trial.fit)
@@ -119,8 +124,14 @@ def static_diagnosis(
                 why = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
                 rejected.append(Rejected(*other.name, other.delta_bic, why))
         taken.append((trial, tuple(rivals[:3]), gain))
-        fit, strong = trial.fit, False
+        fit = trial.fit
     return _diagnosis(records, held, drive, base, fit, base_runs, runs, taken, rejected, strong, identification, rng)
+
+
+def rounding_of(runs: list[FreeRun], records: list[Record]) -> bool:
+    """Whether runs leave nothing but rounding of the outputs."""
+    size = np.max([np.nanmax(np.abs(record.y), axis=0) for record in records], axis=0)
+    return bool(np.all(rms_of(runs) <= ROUNDING * size))
 
 
 def _trial(problem: Static, before: StaticFit, effect: AbstractEffect, place) -> Trial | None:

@@ -7,6 +7,7 @@ import scipy.special
 from jaxtyping import Float
 
 from ..numerics.filters import filtered
+from ..numerics.outcomes import RESULTS, ComputationError
 from .rival import CELLS, RivalFit, Whitened, at_poles, fit_rival, further_modes, poles_of
 
 SIGNIFICANCE = 1e-3
@@ -65,10 +66,14 @@ def structure_test(
 
     **Returns:** a `StructureTest`.
 
+    **Raises:** `ComputationError` for a free run that overflows.
+
     **Reference:** Ljung, *System Identification*, §16.4; Davies, Biometrika 74 (1987) 33-43, on parameters that only
     the alternative has.
     """
     dofs = len(A) // 2
+    if np.any(np.isinf(residual)) or not np.all(np.any(np.isfinite(residual), axis=0)):
+        raise ComputationError(RESULTS.nonfinite, stage="assessing", detail="the free run overflows")
     size = np.nanstd(residual, axis=0)
     if np.all(size <= ROUNDING * np.nanstd(y, axis=0)):
         return StructureTest(0.0, 1.0, 0.0, True, dofs)

@@ -17,7 +17,8 @@ def check_compatible(records: Sequence[Record]) -> None:
     **Arguments:**
 
     - `records`: at least one. Names, measured quantities, hold, scheduling channel and sampling time (to
-        1e-4) must agree with the first, and units where both have them.
+        1e-4) must agree with the first, and units where both have them; every output must be measured somewhere in
+        every record.
 
     **Raises:** `ValueError` naming what differs.
     """
@@ -32,6 +33,13 @@ def check_compatible(records: Sequence[Record]) -> None:
             _demand(all(a == b or not a or not b for a, b in pairs), k, what, first, other)
         apart = abs(other.sampling_time - first.sampling_time)
         _demand(apart <= SAMPLING_TIME_TOLERANCE * first.sampling_time, k, "sampling_time", first, other)
+    for k, record in enumerate(records):
+        for name, column in zip(record.output_names, record.y.T):
+            if np.all(np.isnan(column)):
+                raise ValueError(
+                    f"records[{k}] has no measured sample of {name!r} ({record.samples} samples, all missing); leave "
+                    "that record or that output out."
+                )
 
 
 def _demand(holds: bool, k: int, what: str, first: Record, other: Record) -> None:

@@ -7,10 +7,11 @@ import hidden
 import numpy as np
 from independent import smooth_noise
 
-from jaxgray import Record
+from jaxgray import Record, write_report
 from jaxgray.diagnosis.force_result import force_diagnosis
 from jaxgray.diagnosis.force_route import _ordered
 from jaxgray.diagnosis.force_search import search_forces
+from jaxgray.diagnosis.missing_force import missing_forces
 from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import by_id
 from jaxgray.numerics.progress import Silent
@@ -20,19 +21,29 @@ T, SAMPLES = 0.005, 3000
 LAWS = "constant_force", "dahl_friction", "coulomb_friction", "quadratic_drag", "asymmetric_friction"
 
 
-def test_friction_of_two_bodies_that_drift_is_found_among_laws_that_explain_as_much():
-    ready()
-    rng = np.random.default_rng(8)
+def carriage(rng, lost=0):
+    """Records of two bodies on a rail, of which the first rubs; samples of the first record missing here and there."""
     M, D, K = np.diag([1.2, 0.8]), np.diag([0.6, 0.4]), 60.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     rubbing = (hidden.Effect("coulomb_friction", "y1", {"Fc": 1.5, "eps": 0.01}),)
     records = []
     for _ in range(2):
         u = 4.0 * smooth_noise(rng, SAMPLES, 2, bandwidth=0.02)
         y = hidden.simulate(hidden.System(M, D, K, np.eye(2)), u, T, rubbing, hold="linear")
-        records.append(Record(u, y + rng.normal(scale=1e-4, size=y.shape), T, hold="linear"))
-    laws = tuple(by_id(one) for one in LAWS)
+        y = y + rng.normal(scale=1e-4, size=y.shape)
+        y[rng.choice(SAMPLES, 0 if records else lost, replace=False)] = np.nan
+        records.append(Record(u, y, T, hold="linear"))
+    return records
+
+
+def searched(records):
     options = {"rng": np.random.default_rng(0), "progress": Silent()}
-    search = search_forces(records[:1], records[1:], Force(np.eye(2)), laws, 2, **options)
+    laws = tuple(by_id(one) for one in LAWS)
+    return search_forces(records[:1], records[1:], Force(np.eye(2)), laws, 2, **options)
+
+
+def test_friction_of_two_bodies_that_drift_is_found_among_laws_that_explain_as_much():
+    ready()
+    search = searched(carriage(np.random.default_rng(8)))
     found = [f for f in force_diagnosis(search, None).findings if f.stage == "model"]
     assert [(f.effect, f.location) for f in found] == [("coulomb_friction", "y1")]
     assert abs(found[0].parameters["Fc"].value - 1.5) < 0.1
@@ -41,3 +52,13 @@ def test_friction_of_two_bodies_that_drift_is_found_among_laws_that_explain_as_m
     wide = dataclasses.replace(search.taken[0].trial, fit=dataclasses.replace(search.fit, moving=((0, 1),)))
     plain = dataclasses.replace(search.taken[0].trial, explained=0.9 * wide.explained)
     assert _ordered(SimpleNamespace(taken=[]), [wide, plain]) == [plain, wide]
+
+
+def test_what_is_missing_is_shown_where_samples_were_lost(tmp_path):
+    ready()
+    diagnosis = force_diagnosis(searched(carriage(np.random.default_rng(8), lost=25)), None)
+    assert "coulomb_friction" in [f.effect for f in diagnosis.findings]
+    shown = missing_forces(diagnosis)
+    assert shown and all(np.all(np.isfinite(one.missing)) and len(one.missing) > 100 for one in shown)
+    write_report(diagnosis, tmp_path / "page.html")
+    assert (tmp_path / "page.html").stat().st_size > 1000
