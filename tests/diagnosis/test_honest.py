@@ -20,6 +20,7 @@ from found import (
 
 import jaxgray
 from jaxgray.diagnosis import routes
+from jaxgray.identification.validation import residual_test
 
 
 @pytest.mark.parametrize("kind", hidden.NULLS)
@@ -45,6 +46,22 @@ def test_a_delay_and_a_spring_that_hide_each_other_are_both_found():
     assert np.all(list(diagnosis.noise_floor.values()) < 1.1 * case.noise), str(diagnosis)
     cubic = next(f for f in found if f.effect == "cubic_stiffness")
     check_parameter(cubic.parameters["k3"], case.effects[0].parameters["k3"], "k3", str(diagnosis))
+
+
+def test_a_cubic_spring_is_heard_where_a_sine_turns_out_to_be_one():
+    # A record of a campaign: the sine was refused for being a cubic spring, and Dahl's friction named in its place.
+    pair, rng = ("stribeck_friction", "cubic_stiffness"), np.random.default_rng([100001, 2, 10])
+    case = hidden.random_pair(rng, pair=pair, dofs=(1, 2, 3), samples=4000, excess=(1.5, 4.0))
+    diagnosis = diagnosed(case, exclude=["mass_step", "stiffness_step", "stiffness_drift", "play_hysteresis"])
+    assert {f.effect for f in model_findings(diagnosis)} == set(pair), str(diagnosis)
+
+
+def test_a_weak_controller_is_heard_in_the_same_and_the_next_sample_together():
+    # The loop of a campaign that neither told alone; the noise itself stands for what a perfect model leaves.
+    case = hidden.closed_loop_case(np.random.default_rng([100001, 4, 1]), dofs=(1, 2, 3), samples=4000)
+    assert residual_test(case.y - case.clean, case.u).feedback
+    shuffled = np.roll(case.y - case.clean, 1500, axis=0)
+    assert not residual_test(shuffled, case.u).feedback
 
 
 def test_a_law_is_found_from_where_the_linear_model_has_gone_astray():
