@@ -75,8 +75,8 @@ def _informed(simulator: Simulator, data: list[Data], candidate: Candidate, e: n
 
 
 def beside_laws(bench: Bench, stage: Stage) -> Bench:
-    """A bench whose identified model has the laws that were found so far, too; they hide what is wrong of the entries,
-    as wrong entries hide laws. As it is where there are none, or none is identified with them."""
+    """A bench whose identified model has the laws of a stage as well, all entries refitted beside them: laws hide what
+    is wrong of the entries. The same bench where there is no law, or no refit."""
     laws = tuple(term for term in stage.candidate.terms if not _is_entry(term.effect))
     if bench.identified is None or not laws:
         return bench
@@ -112,7 +112,7 @@ def wrong_entries(bench: Bench, stage: Stage, screening: Screening, *, least: fl
         moved = effect.matrices(np.ones(1), *matrices, first, second)
         along = setup.entries_of(*moved) - here
         curvature = float(along @ found.information @ along)
-        if curvature > 0.0:
+        if curvature > 0:
             size = float(along @ found.information @ (found.entries - here)) / curvature
             ranked.append((size**2 * curvature, dataclasses.replace(score, weights=np.array([size]))))
     ranked.sort(key=lambda pair: -pair[0])

@@ -34,7 +34,7 @@ def rejudge(bench: Bench, growth: Growth) -> None:
             bench.progress.stage(f"judging rivals of {growth.accepted[k].attempt.name[0]} again")
             _class_again(bench, growth, k)
     if growth.fit is not None:
-        # The error of the steps, that no decision waited for, would be one of the values beyond their error bars.
+        # Too small to change a decision, the error of the steps may still move values by more than their error bars.
         fine, _ = in_short_steps(bench, growth.fit)
         if fine is not growth.fit:
             _go_on(bench, growth, fine)

@@ -80,9 +80,8 @@ def static_diagnosis(
     rejected: list[Rejected] = []
     strong = False
     effects = [e for e in catalogue if isinstance(e, AbstractInputEffect)]
-    for turn in range(max_effects + 1):
-        if rounding_of(base_runs[0], records):
-            break
+    # One look more than effects may be added: whether something is left.
+    for turn in range(0 if _is_rounding(base_runs[0], records) else max_effects + 1):
         accepted = {trial.name for trial, _, _ in taken}
         trials = []
         for effect in effects:
@@ -128,7 +127,7 @@ def static_diagnosis(
     return _diagnosis(records, held, drive, base, fit, base_runs, runs, taken, rejected, strong, identification, rng)
 
 
-def rounding_of(runs: list[FreeRun], records: list[Record]) -> bool:
+def _is_rounding(runs: list[FreeRun], records: list[Record]) -> bool:
     """Whether runs leave nothing but rounding of the outputs."""
     size = np.max([np.nanmax(np.abs(record.y), axis=0) for record in records], axis=0)
     return bool(np.all(rms_of(runs) <= ROUNDING * size))
