@@ -15,8 +15,9 @@ from .bench import Bench
 from .extension import refit
 from .gain import gain_of
 from .grown import Accepted, Credit, Growth, held_out_run, is_local, runs_seen, stage_of_candidate
-from .refitting import Attempt, compared
+from .refitting import Attempt, compared, unresolved
 from .residual import white_chain
+from .result import Rejected
 from .shortlist import adds_mode
 
 CLEAR = 100.0
@@ -54,7 +55,7 @@ def by_free_run(bench: Bench, growth: Growth, attempt: Attempt) -> Attempt:
 
 def by_free_runs(bench: Bench, growth: Growth, ranked: list[Attempt]) -> list[Attempt]:
     """Attempts that coloured noise could stand for on the data of the fit, refitted for the free run alone and compared
-    by it, best first; none where there is no other data to judge them by."""
+    by it, best first, without those that end as another law; none where there is no other data to judge them by."""
     if not ranked or not bench.validation or growth.credit is not None:
         return []
     here = growth.stage
@@ -66,8 +67,10 @@ def by_free_runs(bench: Bench, growth: Growth, ranked: list[Attempt]) -> list[At
         bench.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
         return dataclasses.replace(by_free_run(bench, growth, attempt), chain=chain)
 
-    free = side_by_side(free_of, lasting)
-    return [attempt for attempt in compared(bench, here, free) if attempt.delta_bic > CLEAR]
+    free = compared(bench, here, side_by_side(free_of, lasting))
+    others = {attempt.name: other for attempt in free if (other := unresolved(attempt.fit, attempt.score))}
+    growth.rejected += [Rejected(*a.name, a.delta_bic, others[a.name]) for a in free if a.name in others]
+    return [attempt for attempt in free if attempt.delta_bic > CLEAR and attempt.name not in others]
 
 
 def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: tuple[Attempt, ...], floor) -> None:

@@ -10,6 +10,9 @@ WITHIN_A_SAMPLE = 0.2
 """Share of the way that the place usually goes in a sample, below which a length of a hysteresis does not show: it is
 dry friction."""
 
+WIDTH = 0.02
+"""Width of a loop, relative to its height, below which it is a line."""
+
 
 def _too_short(name: str, length: float, scales: Scales) -> str | None:
     """What is said of a length that gives way within a sample; None of one that shows."""
@@ -87,7 +90,7 @@ class BoucWenHysteresis(AbstractForceEffect):
         Parameter("gamma", (0, -1, 0)),
     )
     parity = "odd"
-    becomes = ("coulomb_friction",)
+    becomes = ("coulomb_friction", "sine_stiffness", "cubic_stiffness")
     signature = "rate-independent loop with memory; loop and energy are determined better than beta and gamma"
     reference = "Wen, ASCE J. Eng. Mech. Div. 102 (1976) 249-263"
     places = "spring"
@@ -106,6 +109,9 @@ class BoucWenHysteresis(AbstractForceEffect):
         return result
 
     def unresolved(self, p, scales):
+        # On its way out and back the slope differs by 2·beta·z, and z is at most the way.
+        if p[1] * scales.q_peak < WIDTH:
+            return "beta is nothing: a spring without memory"
         closing = p[1] + p[2]
         return _too_short("1/(beta + gamma)", 1.0 / closing, scales) if closing > 0 else None
 
