@@ -315,6 +315,20 @@ def test_a_hysteresis_shorter_than_a_sample_is_said_to_be_unresolved():
     assert by_id("coulomb_friction").unresolved(np.array([1.0, 0.0]), SCALES) is None
 
 
+def test_a_loop_of_no_width_is_a_spring_and_said_to_be_one():
+    effect = by_id("bouc_wen_hysteresis")
+    way = [Local(q, *np.zeros(6)) for q in SCALES.q_peak * np.sin(np.linspace(0, np.pi, 101))]
+    for width, loop in ((0.0, False), (0.01, False), (0.05, True), (0.5, True)):
+        values = np.array([1.0, width / SCALES.q_peak, 0.8 / SCALES.q_peak])
+        assert (effect.unresolved(values, SCALES) is None) == loop, width
+        z, highest = np.zeros(1), 0.0
+        for before, after in zip(way, way[1:]):
+            z = effect.advance(values, z, before, after, None)
+            highest = max(highest, float(z[0]))
+        # What is left of the force after the way out and back.
+        assert (abs(float(z[0])) > 0.02 * highest) == loop, width
+
+
 @pytest.mark.parametrize("alpha", [0.07, 0.3, 0.5, 0.7, 0.93])
 def test_fractional_damping_follows_the_power_of_frequency(alpha):
     effect = by_id("fractional_damping")
