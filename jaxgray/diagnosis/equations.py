@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 AHEAD = 0.1
 """Share of a step after which the bend of a valley is measured."""
 
-LARGEST = 1e100
+LARGEST = 1e50
 """Whitened values from which a residual or a sensitivity has no products to speak of."""
 
 

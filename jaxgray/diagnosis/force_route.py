@@ -339,12 +339,13 @@ def _backward(search: Search) -> None:
 
 
 def _recount(search: Search) -> None:
-    """Gains that add up: of every law over what the laws before it leave."""
+    """Gains that add up: of every law over what the laws before it leave, in units of what the last one leaves."""
     base = before = search.base_runs[1] or search.base_runs[0]
+    floor = rms_of(search.runs[0])
     names, held_out = search.records[0].output_names, bool(search.base_runs[1])
     for k, taken in enumerate(search.taken):
         after = taken.runs[1] or taken.runs[0]
-        gain = gain_of(before, after, base, rms_of(base), names, held_out=held_out, rng=search.rng)
+        gain = gain_of(before, after, base, floor, names, held_out=held_out, rng=search.rng)
         search.taken[k] = dataclasses.replace(taken, gain=gain)
         before = after
 

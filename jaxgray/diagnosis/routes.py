@@ -88,6 +88,36 @@ def begin(
     return identification
 
 
+def by_force_equation(
+    records: list[Record],
+    held: list[Record],
+    identification: Identification,
+    catalogue: tuple[AbstractEffect, ...],
+    max_effects: int,
+    seed: int,
+    progress: AbstractProgress,
+    options: dict,
+) -> Diagnosis | None:
+    """What the force equation finds where the free run of some output is of no use, for records that the free run of
+    the others leaves unexplained.
+
+    **Arguments:** as `begin`; `identification`: the linear fit.
+
+    **Returns:** a `Diagnosis`; None where it does not apply, or finds nothing.
+    """
+    drive = drive_by(records[0], options)
+    worst = float(np.min([one.fit_percent for one in identification.estimation]))
+    if worst >= POOR or not isinstance(drive, Force) or "acceleration" in records[0].measured:
+        return None
+    progress.stage("looking in the force equation")
+    try:
+        rng = np.random.default_rng(seed)
+        search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+    except ComputationError:
+        return None
+    return force_diagnosis(search, identification) if search.taken else None
+
+
 def route_of(records: list[Record], identification: Identification | None, drive: AbstractDrive) -> Route:
     """The way a diagnosis goes.
 

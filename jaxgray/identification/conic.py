@@ -77,6 +77,9 @@ def step_inside(
     found.
     """
     free = np.ones(len(here), bool) if held is None else ~held
+    if free.any() and not np.max(np.diag(quadratic)[free]) > 0.0:
+        # All rounding: what other parameters take away is as large as what there is.
+        return None
     plain = _at_bounds(quadratic, slope, here, floors, sizes, free)
     if plain is not None:
         return plain
@@ -91,6 +94,8 @@ def step_inside(
 
 def _at_bounds(quadratic, slope, here, floors, sizes, free) -> np.ndarray | None:
     """The step with single numbers at their floors where they would fall below; None unless it is the optimum."""
+    if np.any(np.diag(quadratic)[free] < 0.0):
+        return None
     scale = np.sqrt(np.maximum(np.diag(quadratic), np.finfo(float).tiny))
     scaled = quadratic / scale[:, None] / scale[None, :]
     ends = np.cumsum([n * (n + 1) // 2 for n in sizes]) - 1

@@ -7,7 +7,7 @@ import hidden
 import numpy as np
 from independent import smooth_noise
 
-from jaxgray import Record, write_report
+from jaxgray import Record, diagnose, write_report
 from jaxgray.diagnosis.force_result import force_diagnosis
 from jaxgray.diagnosis.force_route import _ordered
 from jaxgray.diagnosis.force_search import search_forces
@@ -62,3 +62,24 @@ def test_what_is_missing_is_shown_where_samples_were_lost(tmp_path):
     assert shown and all(np.all(np.isfinite(one.missing)) and len(one.missing) > 100 for one in shown)
     write_report(diagnosis, tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size > 1000
+
+
+def test_a_link_that_turns_over_beside_one_that_does_not_is_judged_by_the_force_equation():
+    # On average the linear free run is of use, that of the first link is not, and no law mends it over the record.
+    rng, records = np.random.default_rng(8), []
+    rubbing = hidden.Effect("coulomb_friction", "y2", {"Fc": 1.0})
+    turning = hidden.Effect("sine_stiffness", "y1", {"k": 8.0, "length": 1.0}), rubbing
+    links = hidden.System(np.diag([1.2, 0.8]), np.diag([0.6, 0.4]), np.zeros((2, 2)), np.eye(2))
+    for _ in range(2):
+        u = 9.0 * smooth_noise(rng, 1500, 2, bandwidth=0.02)
+        y = hidden.simulate(links, u, T, turning, hold="linear")
+        records.append(Record(u, y + rng.normal(scale=1e-3, size=y.shape), T, hold="linear"))
+    diagnosis = diagnose(records[0], validation=records[1], only=["sine_stiffness", "constant_force"])
+    fit = diagnosis.identification.estimation[0].fit_percent
+    assert fit.min() < 0 and fit.mean() > 30
+    (finding,) = [f for f in diagnosis.findings if f.stage == "model"]
+    assert (finding.effect, finding.location, diagnosis.verdict) == ("sine_stiffness", "y1", "named")
+    length = finding.parameters["length"]
+    assert abs(length.value - 1.0) < 3 * length.standard_error < 0.05
+    assert finding.gain == diagnosis.gain and diagnosis.gain.ci95[0] > 50
+    assert any("force equation" in text for text in diagnosis.warnings)

@@ -37,6 +37,16 @@ def test_numbers_that_stop_at_their_floors_take_no_interior_point():
     assert stopped > 40 and asked > 10
 
 
+def test_a_curvature_that_is_all_rounding_gives_no_step():
+    # What other parameters take away of an overflowing sensitivity leaves differences of large numbers.
+    Q = -1e9 * np.eye(len(HERE)) + 1e8
+    assert step_inside(NoSolver(), Q, np.ones(len(HERE)), HERE, FLOORS, SIZES, None) is None
+    # One such entry among sound ones is the interior point's.
+    Q = np.diag([-1e-9, 1.0, 1.0, 1.0, 1.0, 1.0])
+    step = step_inside(ClarabelSolver(), Q, np.ones(len(HERE)), HERE, FLOORS, SIZES, None)
+    assert step is None or np.all(np.isfinite(step))
+
+
 def test_what_a_null_direction_moves_is_undetermined():
     rows = np.random.default_rng(4).standard_normal((5, 40))
     rows[1] = 3 * rows[0]
