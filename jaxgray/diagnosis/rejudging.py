@@ -8,7 +8,7 @@ import numpy as np
 from .bench import Bench, chain_of
 from .extension import Refit, refit
 from .grown import Growth, held_out_run, stage_of_candidate
-from .judgement import evidence
+from .judgement import evidence, overall
 from .pursuit import ROUGH, in_short_steps
 from .refitting import Attempt, moving
 from .residual import Chain
@@ -18,6 +18,9 @@ from .thresholds import at_fewer_everywhere
 
 STEPS = 10
 """Of each refit of a rival."""
+
+ASTRAY = 2.0
+"""Error on held-out data, relative to that before, from which finer steps have led astray."""
 
 
 def rejudge(bench: Bench, growth: Growth) -> None:
@@ -36,8 +39,15 @@ def rejudge(bench: Bench, growth: Growth) -> None:
     if growth.fit is not None:
         # Too small to change a decision, the error of the steps may still move values by more than their error bars.
         fine, _ = in_short_steps(bench, growth.fit)
-        if fine is not growth.fit:
+        if fine is not growth.fit and not _lost(bench, growth, fine):
             _go_on(bench, growth, fine)
+
+
+def _lost(bench: Bench, growth: Growth, fit: Refit) -> bool:
+    """Whether another refit of all findings is much farther from the held-out data: what the data of the fit hardly
+    determine went astray on the way."""
+    runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
+    return any(not overall(new.rmse, old.rmse) < ASTRAY for new, old in zip(runs, growth.runs))
 
 
 def _class_again(bench: Bench, growth: Growth, k: int) -> None:

@@ -63,7 +63,7 @@ def begin(
         identification = identify(records, validation=held, progress=progress, **options)
     except ComputationError as error:
         failure = error
-        if any(error.result == one for one in HOPELESS):
+        if any(error.result == one for one in HOPELESS) or not any(np.any(record.u) for record in records):
             raise
     drive = drive_by(records[0], options)
     rng = np.random.default_rng(seed)
@@ -75,9 +75,10 @@ def begin(
     if route == "force equation":
         try:
             search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
-        except ComputationError:
+        except ComputationError as error:
             if identification is None:
-                raise
+                # What is wrong with the record says the linear fit.
+                raise failure from error
             return identification
         # What the force equation does not hear, a free run may that is poor, but not without use.
         if search.taken or identification is None or _fit(identification) < USELESS:

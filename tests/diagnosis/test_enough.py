@@ -7,7 +7,9 @@ from found import SAMPLES, generator
 from independent import smooth_noise
 
 import jaxgray
+from jaxgray.diagnosis import routes
 from jaxgray.identification.structure_test import structure_test
+from jaxgray.numerics.outcomes import RESULTS
 
 
 def record(*missing, samples=SAMPLES):
@@ -32,6 +34,22 @@ def test_a_record_with_a_gap_every_tenth_sample_is_refused_and_not_called_noise(
 def test_an_output_that_was_not_measured_in_one_record_is_named(use):
     with pytest.raises(ValueError, match=r"records\[1\] has no measured sample of 'y2' \(.* all missing\)"):
         use([record(), record((slice(None), 1))])
+
+
+def test_an_input_that_never_moves_is_named_whatever_is_looked_for():
+    still = record()
+    with pytest.raises(jaxgray.ComputationError, match="input 'u1' is constant .0."):
+        jaxgray.diagnose(jaxgray.Record(0.0 * still.u, still.y, still.sampling_time))
+
+
+def test_a_free_run_serves_where_the_force_equation_has_no_solution(monkeypatch):
+    def unsolved(*_, **__):
+        raise jaxgray.ComputationError(RESULTS.nonfinite, stage="force equation")
+
+    monkeypatch.setattr(routes, "route_of", lambda *_: "force equation")
+    monkeypatch.setattr(routes, "search_forces", unsolved)
+    diagnosis = jaxgray.diagnose(record(), only=["cubic_stiffness"])
+    assert diagnosis.verdict == "noise" and not any("force equation" in text for text in diagnosis.warnings)
 
 
 def test_a_validation_record_of_a_few_samples_is_refused():
