@@ -16,6 +16,9 @@ from .refitting import Attempt, unresolved
 MOVED_ALONG = 2.0
 """Standard errors of an amplitude that are enough where the likelihood is clear."""
 
+UNSURE = "standard errors from nothing"
+"""Why an amplitude does not count."""
+
 EXPLAINED = 0.1
 """Least share of the excess that a finding must explain."""
 
@@ -35,8 +38,9 @@ def residual_rms(e: np.ndarray, data: Data) -> np.ndarray:
     return np.maximum(np.sqrt(power), 1e-300)
 
 
-def unsound(bench: Bench, growth: Growth, attempt: Attempt) -> str | None:
-    """What speaks against an attempt whatever it gains, None for nothing."""
+def unsound(bench: Bench, growth: Growth, attempt: Attempt, given_shape: bool = False) -> str | None:
+    """What speaks against an attempt whatever it gains, None for nothing. `given_shape`: with the errors that sizes
+    have beside a shape that is known."""
     last = len(attempt.fit.candidate.terms) - 1
     if attempt.delta_bic < ACCEPTED:
         return f"the refit explains too little (ΔBIC {attempt.delta_bic:.0f})"
@@ -48,15 +52,17 @@ def unsound(bench: Bench, growth: Growth, attempt: Attempt) -> str | None:
     other_law = unresolved(attempt.fit, attempt.score)
     if other_law is not None:
         return other_law
-    size = significance(attempt.fit, Layout(bench.simulator.setup, attempt.fit.candidate), last)
+    layout = Layout(bench.simulator.setup, attempt.fit.candidate)
+    size = significance(attempt.fit, layout, last, given_shape=given_shape)
     # An amplitude that a shape moves along with has a wide error, though nothing explains the record without it.
     least = SIGNIFICANT if attempt.delta_bic < CLEAR else MOVED_ALONG
-    return f"only {size:.1f} standard errors from nothing" if size < least else None
+    return f"only {size:.1f} {UNSURE}" if size < least else None
 
 
-def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray):
-    """Why an attempt cannot be believed (None if it can), its gain, and its free runs on held-out data."""
-    why = unsound(bench, growth, attempt)
+def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray, given_shape: bool = False):
+    """Why an attempt cannot be believed (None if it can), its gain, and its free runs on held-out data; `given_shape`
+    as for `unsound`."""
+    why = unsound(bench, growth, attempt, given_shape)
     if why is not None:
         return why, None, None
     here = growth.sure

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..mechanics.effects.base import AbstractEffect
 from ..numerics.runtime import relieve
-from .belief import floor_of, judged, unsound
+from .belief import UNSURE, floor_of, judged, unsound
 from .bench import Bench
 from .competitor import FlexibleForce
 from .credit import CLEAR, by_free_run, by_free_runs, lend, lendable, withdraw
@@ -115,6 +115,8 @@ def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffe
         return 1
     if _accepted(bench, growth, by_free_runs(bench, growth, ranked)[:1], least=HALVED):
         return 1
+    if _accepted(bench, growth, _unsure(growth, ranked, before), given_shape=True):
+        return 1
     refuted = screening.fires and _refuted(bench, growth, ranked, searched)
     growth.unexplained = screening.fires and not refuted
     # What is lent its place needs another round to redeem it.
@@ -207,20 +209,33 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
     return ranked
 
 
-def _accepted(bench: Bench, growth: Growth, ranked: list[Attempt], *, least: float = -np.inf) -> bool:
-    """Accept the best candidate that holds and gains at least so much [%]; whether one did."""
-    floor = floor_of(bench, ranked)
+def _unsure(growth: Growth, ranked: list[Attempt], since: int) -> list[Attempt]:
+    """Candidates that were refused in this round for the error of their size alone; they are no longer refused."""
+    names = {(one.effect, one.location) for one in growth.rejected[since:] if one.why.endswith(UNSURE)}
+    growth.rejected[since:] = [one for one in growth.rejected[since:] if not one.why.endswith(UNSURE)]
+    return [attempt for attempt in ranked if attempt.name in names]
+
+
+def _accepted(
+    bench: Bench, growth: Growth, ranked: list[Attempt], *, least: float = -np.inf, given_shape: bool = False
+) -> bool:
+    """Accept the best candidate that holds and gains at least so much [%]; whether one did. `given_shape`: with the
+    errors that sizes have beside a shape that is known."""
+    floor, unsure = floor_of(bench, ranked), []
     for k, attempt in enumerate(ranked):
         bench.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
-        why, gain, runs = judged(bench, growth, attempt, floor)
+        why, gain, runs = judged(bench, growth, attempt, floor, given_shape)
         if why is None and gain.percent < least:
             why = f"coloured noise could do the same, and the gain on held-out data is but {gain.percent:.0f} %"
         if why is None:
-            rivals, refused = _class_of(attempt, ranked[k + 1 :])
-            growth.rejected += refused
+            rivals, refused = _class_of(attempt, unsure + ranked[k + 1 :])
+            # What was refused for its error alone, and explains as much or more, may be it all the same.
+            names = {rival.name for rival in rivals}
+            growth.rejected = [one for one in growth.rejected if (one.effect, one.location) not in names] + refused
             _take(bench, growth, Accepted(attempt, rivals, gain, runs))
             return True
         growth.rejected.append(Rejected(*attempt.name, attempt.delta_bic, why, gain))
+        unsure += [attempt] if why.endswith(UNSURE) else []
     return False
 
 
@@ -258,6 +273,8 @@ def _class_of(attempt: Attempt, others: list[Attempt]) -> tuple[tuple[Attempt, .
     rivals, refused = [], []
     for other in others:
         behind = other.criterion - attempt.criterion
+        if behind <= -alike(attempt, other):
+            continue
         if behind >= alike(attempt, other):
             why = f"explained better by {' at '.join(attempt.name)} (by {behind:.0f})"
         elif needless(other, attempt):

@@ -1,0 +1,67 @@
+"""When a law's size counts, and what happens to those that are refused for its error alone."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxgray.diagnosis.growth import _class_of, _unsure
+from jaxgray.diagnosis.judgement import SIGNIFICANT, significance
+from jaxgray.diagnosis.result import Rejected
+from jaxgray.mechanics.effects import by_id
+from jaxgray.mechanics.effects.base import Place, Term
+
+
+def fitted(values, *, alike=0.0):
+    """A refit of a sine-shaped spring beside three other parameters, its size and length moving together."""
+    rows = np.random.default_rng(4).standard_normal((5, 40))
+    rows[4] = alike * rows[3] + (1.0 - alike) * rows[4]
+    information = rows @ rows.T
+    term = Term(by_id("sine_stiffness"), Place("y1", 0), np.array(values))
+    fit = SimpleNamespace(candidate=SimpleNamespace(terms=(term,)), covariance=np.linalg.inv(information))
+    return information, fit, SimpleNamespace(first=3, terms=[(0, 0), (0, 1)])
+
+
+def test_a_size_that_its_shape_moves_along_with_counts_by_its_error_beside_that_shape():
+    information, fit, layout = fitted([1.0, 2.0], alike=0.97)
+    # Beside a shape that is known: without its row and column in the curvature.
+    known = np.sqrt(np.linalg.inv(information[:4, :4])[3, 3])
+    assert significance(fit, layout, 0, given_shape=True) == pytest.approx(1.0 / known, rel=1e-9)
+    assert significance(fit, layout, 0) == pytest.approx(1.0 / np.sqrt(fit.covariance[3, 3]), rel=1e-9)
+    assert significance(fit, layout, 0) < SIGNIFICANT < significance(fit, layout, 0, given_shape=True)
+
+
+def test_a_size_that_is_nothing_does_not_count_whatever_is_known_of_its_shape():
+    _, fit, layout = fitted([0.01, 2.0], alike=0.97)
+    assert significance(fit, layout, 0, given_shape=True) < 1.0
+
+
+def attempt(effect, criterion):
+    values = {"cubic_stiffness": [1.0], "sine_stiffness": [1.0, 1.0], "coulomb_friction": [1.0, 0.1]}[effect]
+    term = Term(by_id(effect), Place("y1", 0), np.array(values))
+    scales = SimpleNamespace(q_peak=2.0)
+    shape = SimpleNamespace(effect=term.effect, place=term.place, scales=scales)
+    fit = SimpleNamespace(candidate=SimpleNamespace(terms=(term,)))
+    name = effect, "y1"
+    return SimpleNamespace(
+        name=name, criterion=criterion, delta_bic=-criterion, fit=fit, score=SimpleNamespace(shape=shape)
+    )
+
+
+def test_what_is_refused_for_its_error_alone_stays_in_the_class_of_what_explains_no_more():
+    sine = attempt("sine_stiffness", -20.0)
+    for criterion, member in ((-25.0, True), (-15.0, True), (-45.0, False)):
+        rivals, refused = _class_of(sine, [attempt("cubic_stiffness", criterion)])
+        assert [rival.name[0] for rival in rivals] == ["cubic_stiffness"] * member and not refused
+    (one,) = _class_of(sine, [attempt("cubic_stiffness", 0.0)])[1]
+    assert one.why == "explained better by sine_stiffness at y1 (by 20)"
+
+
+def test_only_what_was_refused_for_its_error_alone_in_this_round_is_judged_again():
+    ranked = [attempt("cubic_stiffness", -25.0), attempt("sine_stiffness", -20.0), attempt("coulomb_friction", -20.0)]
+    earlier = Rejected("coulomb_friction", "y1", 20.0, "only 1.0 standard errors from nothing")
+    now = Rejected("sine_stiffness", "y1", 20.0, "only 1.8 standard errors from nothing")
+    other = Rejected("cubic_stiffness", "y1", 25.0, "no sure gain on held-out data (0.1 %, from -3.0 %)")
+    growth = SimpleNamespace(rejected=[earlier, now, other])
+    assert [one.name[0] for one in _unsure(growth, ranked, 1)] == ["sine_stiffness"]
+    assert growth.rejected == [earlier, other]
