@@ -10,7 +10,10 @@ import numpy as np
 from ...numerics.lifting import respond
 from .actuator import SAMPLES, lag_step
 from .base import AbstractOutputEffect, Parameter
-from .structure import step_at
+from .structure import at_an_end, step_at
+
+LEAST_LOST = 0.5
+"""Samples below which none was lost."""
 
 
 def _times(y, time):
@@ -188,6 +191,12 @@ class DroppedSamples(AbstractOutputEffect):
 
     def shapes(self, scales):
         return [np.array([0.2, t0, scales.sampling_time]) for t0 in scales.times]
+
+    def unresolved(self, p, scales):
+        # Loggers lose whole samples. Less, or all from the start, is a shift in time: of the inputs, a sensor, the hold.
+        if abs(p[0]) < LEAST_LOST:
+            return f"{abs(p[0]):.2g} of a sample is no lost one, but a shift in time"
+        return at_an_end(p[1], scales.times)
 
     def apply(self, p, y, source, time):
         jump = p[0] * step_at(_times(y, time), p[1], p[2])
