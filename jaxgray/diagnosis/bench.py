@@ -1,6 +1,7 @@
 """What the loop of a diagnosis works with."""
 
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from .response import Simulator
 from .stage import sampled_plant
 
 if TYPE_CHECKING:
+    from .force_route import Search
     from .own_model import Identified
 
 
@@ -24,7 +26,8 @@ class Bench:
 
     `simulator`; `data` of estimation and of validation; `catalogue`; `names` of inputs and outputs; `held`: entries
     that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
-    of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged.
+    of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
+    `forces`: gives what the force equation finds (None where it has no solution), where it may be asked.
     """
 
     simulator: Simulator
@@ -38,6 +41,7 @@ class Bench:
     rng: np.random.Generator
     progress: AbstractProgress
     identified: "Identified | None" = None
+    forces: "Callable[[], Search | None] | None" = None
 
 
 _chains: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKeyDictionary()

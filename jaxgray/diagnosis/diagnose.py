@@ -48,7 +48,7 @@ from .record_findings import noise_findings, record_findings, still_spoilt
 from .refitting import explainable_share
 from .response import Simulator
 from .result import Diagnosis, Finding
-from .routes import begin, by_force_equation
+from .routes import asked_of_forces, begin, by_force_equation
 
 FORCES = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
 
@@ -179,6 +179,7 @@ def _of_clean_records(
         separate,
         np.random.default_rng(seed),
         progress,
+        forces=asked_of_forces(records, held, identification, searched, max_effects, seed, progress, options),
     )
     if model is not None:
         bench = dataclasses.replace(bench, identified=identified(bench.simulator, records, bench.data, options))
@@ -190,9 +191,7 @@ def _of_clean_records(
     # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
     noise = () if growth.unexplained else noise_findings(records[0], growth.stage.e, growth.screening.chain)
     found = _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
-    if found.verdict == "unexplained" and identification is not None:
-        other = by_force_equation(records, held, identification, searched, max_effects, seed, progress, options)
-        found = found if other is None else other
+    found = by_force_equation(found, bench.forces)
     warnings = anew + beyond_the_fit(records, held) + found.warnings
     return dataclasses.replace(found, findings=outliers + found.findings, warnings=warnings)
 

@@ -144,8 +144,10 @@ class _Step:
 
     def __call__(self, theta, H, g, damping):
         """The change of the parameters; None where no step could be found."""
-        diagonal = np.maximum(np.diag(H), 1e-14 * np.max(np.diag(H)))
-        H = H + np.diag((damping + 1e-13) * diagonal)
+        own = np.diag(H)
+        diagonal = np.maximum(own, 1e-14 * np.max(own))
+        # In every parameter's own units: beside a mass, a spring constant of 1e10 N/m³ has next to no curvature.
+        H = H + np.diag((damping + 1e-13) * np.where(own > 0, own, diagonal))
         inside, free = self.blocked, self.free
         inner = pseudo_inverse(H[np.ix_(free, free)])
         across = H[np.ix_(inside, free)] @ inner

@@ -10,6 +10,7 @@ from .belief import UNSURE, floor_of, judged, unsound
 from .bench import Bench
 from .competitor import FlexibleForce
 from .credit import CLEAR, by_free_run, by_free_runs, lend, lendable, withdraw
+from .from_forces import from_forces
 from .gain import gain_of
 from .grown import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
 from .hidden_modes import hidden_modes
@@ -78,9 +79,9 @@ def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffe
     """One round, where so many effects may still be added: how many it took, 0 where it but ruled something out; None
     where nothing more is found."""
     relieve()
-    found, told_from = len(growth.accepted), growth.ruled_out
+    known, told_from = len(growth.accepted), growth.ruled_out
     growth.stage = dataclasses.replace(growth.stage, ruled_out=growth.ruled_out)
-    bench.progress.stage("looking for effects" if found == 0 else f"looking further ({found} found)")
+    bench.progress.stage("looking for effects" if known == 0 else f"looking further ({known} found)")
     screening = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
     growth.screening = screening
     growth.first = screening if growth.first is None else growth.first
@@ -92,8 +93,11 @@ def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffe
             # A run that is out of step shows no entry to first order, and all it leaves passes for noise at the forces.
             closer = _closer(bench, growth.stage, screening)
         if closer is None:
-            hidden = left > 0 and _accepted(bench, growth, hidden_modes(bench, growth.stage, screening))
-            return 1 if hidden else None
+            found = left > 0 and (
+                _accepted(bench, growth, hidden_modes(bench, growth.stage, screening))
+                or _accepted(bench, growth, from_forces(bench, growth.stage, screening))
+            )
+            return 1 if found else None
     if left <= 0:
         return None
     closer = _closer(bench, growth.stage, screening) if closer is None else closer
@@ -196,12 +200,16 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
     listed = listed_with(shortlist(screening, closer), wrong_entries(bench, stage, screening))
     attempts = attempts_of(bench, stage, listed, chain, growth.rejected)
     ranked = compared(bench, stage, list(attempts.values()))
+    if forced := from_forces(bench, stage, screening):
+        both = compared(bench, stage, ranked + forced)
+        # Of two refits of one law the better.
+        ranked = [a for k, a in enumerate(both) if a.name not in {better.name for better in both[:k]}]
     if ranked:
-        tried = set(attempts) | {(one.effect, one.location) for one in growth.rejected[before:]}
+        tried = {a.name for a in ranked} | {(one.effect, one.location) for one in growth.rejected[before:]}
         ids = standing_for(ranked[0].name[0]) - {effect for effect, _ in tried}
         others = unheard(ids, screening, closer, tried)
         late = instead_of(bench, stage, ranked[0], others, growth.rejected)
-        behind = _given_up(growth.rejected[before:], list(attempts.values()))
+        behind = _given_up(growth.rejected[before:], ranked)
         late += left_behind(bench, stage, ranked[0], behind, (closer, screening), growth.rejected)
         ranked = compared(bench, stage, ranked + late) if late else ranked
     ranked = simplified(ranked)

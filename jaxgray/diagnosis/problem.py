@@ -127,6 +127,10 @@ class Candidate:
         """The same with other terms."""
         return dataclasses.replace(self, terms=tuple(terms))
 
+    def with_entries(self, entries) -> "Candidate":
+        """The same with other M, D, K."""
+        return dataclasses.replace(self, entries=np.asarray(entries, float))
+
 
 OF_FIRST = frozenset(("periodic_disturbance",))
 """Effects of the first record alone: what hums has another phase in every record."""

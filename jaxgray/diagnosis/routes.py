@@ -1,5 +1,7 @@
 """Which way a diagnosis goes: the free run of the linear model, the force equation, or a static gain."""
 
+import functools
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -12,6 +14,7 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress
 from ..records import Record
 from .force_result import force_diagnosis
+from .force_route import Search
 from .force_search import search_forces
 from .result import Diagnosis
 from .static_route import static_diagnosis
@@ -89,34 +92,49 @@ def begin(
     return identification
 
 
-def by_force_equation(
+def asked_of_forces(
     records: list[Record],
     held: list[Record],
-    identification: Identification,
+    identification: Identification | None,
     catalogue: tuple[AbstractEffect, ...],
     max_effects: int,
     seed: int,
     progress: AbstractProgress,
     options: dict,
-) -> Diagnosis | None:
-    """What the force equation finds where the free run of some output is of no use, for records that the free run of
-    the others leaves unexplained.
+) -> Callable[[], Search | None] | None:
+    """What gives the search in the force equation of records on which the free run of some output is poor.
 
-    **Arguments:** as `begin`; `identification`: the linear fit.
+    **Arguments:** as `begin`; `identification`: the linear fit, None where a user's own model is judged.
 
-    **Returns:** a `Diagnosis`; None where it does not apply, or finds nothing.
+    **Returns:** a function without arguments, which searches once however often it is called and gives None where the
+    force equation has no solution; None where it does not apply.
     """
+    if identification is None or worst_fit(identification) >= USABLE:
+        return None
     drive = drive_by(records[0], options)
-    worst = float(np.min([one.fit_percent for one in identification.estimation]))
-    if worst >= POOR or not isinstance(drive, Force) or "acceleration" in records[0].measured:
+    if not isinstance(drive, Force) or "acceleration" in records[0].measured:
         return None
-    progress.stage("looking in the force equation")
-    try:
+
+    @functools.cache
+    def search() -> Search | None:
+        progress.stage("looking in the force equation")
         rng = np.random.default_rng(seed)
-        search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
-    except ComputationError:
-        return None
-    return force_diagnosis(search, identification) if search.taken else None
+        try:
+            return search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+        except ComputationError:
+            return None
+
+    return search
+
+
+def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | None) -> Diagnosis:
+    """A diagnosis of free runs that found nothing, or what the force equation finds in its place.
+
+    **Arguments:** `found`; `forces`: as `asked_of_forces` gives it.
+    """
+    poor = found.verdict == "unexplained" or (found.verdict == "noise" and worst_fit(found.identification) < POOR)
+    search = forces() if forces is not None and poor else None
+    return force_diagnosis(search, found.identification) if search is not None and search.taken else found
 
 
 def route_of(records: list[Record], identification: Identification | None, drive: AbstractDrive) -> Route:
@@ -145,6 +163,11 @@ def route_of(records: list[Record], identification: Identification | None, drive
     if fit < POOR or (undetermined and fit < USABLE):
         return "force equation"
     return "free run"
+
+
+def worst_fit(identification: Identification) -> float:
+    """Fit [%] of the free run of the output that has the poorest."""
+    return float(np.min([one.fit_percent for one in identification.estimation]))
 
 
 def _fit(identification: Identification) -> float:

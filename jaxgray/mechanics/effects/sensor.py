@@ -193,7 +193,7 @@ class DroppedSamples(AbstractOutputEffect):
         return [np.array([0.2, t0, scales.sampling_time]) for t0 in scales.times]
 
     def unresolved(self, p, scales):
-        # Loggers lose whole samples. Less, or all from the start, is a shift in time: of the inputs, a sensor, the hold.
+        # Loggers lose whole samples. Less, or all from the start, is a shift in time: of inputs, a sensor, the hold.
         if abs(p[0]) < LEAST_LOST:
             return f"{abs(p[0]):.2g} of a sample is no lost one, but a shift in time"
         return at_an_end(p[1], scales.times)

@@ -1,0 +1,64 @@
+"""Laws that the force equation finds where the free run of the linear model is too far off to tell any.
+
+Scores are of first order about the linear model, and a strong effect takes its free run out of step with the record:
+what is left then passes for noise, or for anything. The force equation asks for no motion but the measured one. What it
+finds begins with its M, D, K and its sizes, and is refitted by the free run and judged as any other law.
+"""
+
+import numpy as np
+
+from ..numerics.side_by_side import side_by_side
+from .bench import Bench, chain_of
+from .extension import refit
+from .pursuit import ROUGH, pursued
+from .refitting import Attempt, compared
+from .residual import white_chain
+from .screening import Screening
+from .shortlist import begun_at
+from .stage import Stage
+
+STEPS = 25
+"""Of the first refit, which has to bring the free run into step."""
+
+NEARER = 0.5
+"""Share of the sum of squares of the linear model's free run that a law may leave to be of interest."""
+
+
+def from_forces(bench: Bench, stage: Stage, screening: Screening) -> list[Attempt]:
+    """What the force equation finds first, and what it does not tell from it, refitted by the free run, best first;
+    none where it is not asked, finds nothing, or the free run is no nearer with it.
+
+    **Arguments:** `bench`; `stage`: without any law; `screening`: of that stage.
+    """
+    search = None if bench.forces is None or stage.candidate.terms else bench.forces()
+    if search is None or not search.taken:
+        return []
+    chain = white_chain(stage.e, bench.data[0].kept, stage.system)
+    left = float(np.sum(np.where(bench.data[0].kept, stage.e, 0.0) ** 2))
+
+    def refitted(trial) -> Attempt | None:
+        effect, place = trial.name
+        here = (
+            s for s in (*screening.first, *screening.scores) if (s.shape.effect.id, s.shape.place.name) == trial.name
+        )
+        score = next(here, None)
+        if score is None:
+            return None
+        bench.progress.stage(f"refitting {effect} at {place}")
+        begin = stage.candidate.with_terms((trial.term,))
+        begin = begin.with_entries(bench.simulator.setup.entries_of(*trial.fit.matrices))
+        options = {"held": bench.held, "tolerance": ROUGH}
+        fit = refit(bench.simulator, begin, bench.data, chain, max_steps=0, **options)
+        if fit is None:
+            return None
+        # Out of step as it still is, what is left passes for noise at the forces, and less and less of it does.
+        fit = refit(bench.simulator, begin, bench.data, chain_of(bench, fit), max_steps=STEPS, **options)
+        if fit is None or not float(np.sum(fit.residual[0] ** 2)) < NEARER * left:
+            return None
+        bench.progress.stage(f"pursuing {effect} at {place}")
+        end = pursued(bench, fit)
+        return Attempt(begun_at(score, np.asarray(trial.term.values, float)), end, chain_of(bench, end))
+
+    first = search.taken[0]
+    attempts = side_by_side(refitted, [first.trial, *first.rivals])
+    return compared(bench, stage, [attempt for attempt in attempts if attempt is not None])
