@@ -1,8 +1,12 @@
 """Laws refitted beside one another: what comes out is what comes out one after the other, and nothing is done twice."""
 
+from types import SimpleNamespace
+
+import numpy as np
 from found import diagnosed, hidden_case, model_findings
 
 from jaxgray.diagnosis import bench
+from jaxgray.diagnosis.extension import _Step
 from jaxgray.numerics import side_by_side
 
 FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "position_dependent_friction")
@@ -28,3 +32,18 @@ def test_a_second_core_changes_nothing_and_the_noise_of_a_fit_is_estimated_once(
         found.append((one.effect, one.location, one.delta_bic, values, refused))
     assert found[0][0] == "coulomb_friction" and len(found[0][4]) > 1
     assert found[0] == found[1]
+
+
+def test_a_step_is_the_same_in_any_unit():
+    # A cubic spring of 1e10 N/m³ beside a mass of 1 kg: its curvature is next to nothing, its step is not.
+    setup = SimpleNamespace(
+        dofs=1, sizes=(1, 1, 1), structure=SimpleNamespace(owners=lambda _: ("mass", "damping", "stiffness"))
+    )
+    layout = SimpleNamespace(entries=3, first=5, size=6, lower=np.array([-np.inf]), upper=np.array([np.inf]))
+    rows = np.random.default_rng(5).standard_normal((6, 60))
+    H, g = rows @ rows.T, np.array([0.3, -0.2, 0.4, 0.5, -0.1, 0.2])
+    theta = np.ones(6)
+    for unit in (1.0, 1e-6, 1e14):
+        scale = np.array([1.0, 1.0, 1.0, 1.0, 1.0, unit])
+        step = _Step(setup, layout, np.zeros(6, bool))(theta * scale, H / np.outer(scale, scale), g / scale, 0.0)
+        np.testing.assert_allclose(step / scale, -np.linalg.solve(H, g), rtol=1e-6)
