@@ -28,11 +28,16 @@ from .result import (
 )
 from .screening import Screening
 from .thresholds import at_one_threshold, elements_of
-from .words import title_of
+from .titles import title_of
 
 
 def unit_text(powers: tuple[int, int, int], force: str, length: str) -> str:
-    """Unit of a parameter as text, such as N/m^3; empty where a unit that it needs is not given."""
+    """Unit of a parameter as text, such as N/m^3; empty where a unit that it needs is not given.
+
+    Under a moving base, whose input is a length or an acceleration, forces are those on a mass of one.
+    """
+    if force and force in (length, f"{length}/s^2", f"{length}/s²", f"{length}/s2"):
+        powers = 0, powers[1] + powers[0], powers[2] - 2 * powers[0]
     names = (force, length, "s")
     if any(power and not name for power, name in zip(powers, names)):
         return ""

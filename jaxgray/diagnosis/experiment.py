@@ -19,6 +19,12 @@ CHILDREN = 6
 SHORTEST = 1000
 """Samples that an experiment has at least, if the record has as many."""
 
+ENOUGH = 9.0
+"""Separation d² that tells two models apart in white noise."""
+
+BETTER = 1.5
+"""Separation relative to that of the record from which an experiment is worth proposing."""
+
 OVERFLOWING = 1e100
 """Size from which a response has no products to speak of."""
 
@@ -42,7 +48,7 @@ def next_experiment(
     **Arguments:** `bench`; `members`: the class, refitted; `record`: whose amplitude and band are kept, and its length,
     or that of a shorter held-out one; `floor`: noise σ per output; `progress`.
 
-    **Returns:** a `NextExperiment`, or None where the members cannot be simulated.
+    **Returns:** a `NextExperiment`, or None where the members cannot be simulated or no input separates them better.
 
     **Reference:** Hunter & Reiner (1965), designs for discriminating between two rival models.
     """
@@ -71,9 +77,14 @@ def next_experiment(
                 best = d, best[1], u
     d, name, u = best
     ids = tuple(term.terms[-1].effect.id for term in members)
+    if d < BETTER * now:
+        # Nothing within the amplitude and band of the record tells them apart any better.
+        return None
+    # Where the noise has a colour, or follows the motion, a record tells less than its samples promise.
+    enough = "; 9 is enough where the noise is white" if now < ENOUGH else ", where it was not enough"
     text = (
         f"{name[0].upper()}{name[1:]}, {data.samples} samples at {record.sampling_time:g} s, within the amplitude of "
-        f"the record: predicted to separate {' and '.join(ids)} by d² = {d:.0f} (this record: {now:.1f}; 9 is enough)."
+        f"the record: predicted to separate {' and '.join(ids)} by d² = {d:.0f} (this record: {now:.1f}{enough})."
     )
     return NextExperiment(ids, u, record.sampling_time, float(d), float(now), text)
 

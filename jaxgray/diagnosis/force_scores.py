@@ -21,6 +21,9 @@ ROUNDS = 2
 PICKED = 3
 _DEPENDENT = 1e-9
 
+MOST_RADIANS = 120
+"""Way of a place, in lengths of a law that repeats itself over displacement, up to which such laws are looked for."""
+
 FINE = 1.04
 """Ratio of neighbouring lengths where a law has one."""
 
@@ -80,6 +83,10 @@ class Library:
             known = [values[lengths[0]] for values in grid]
             low, high = WIDER[0] * min(known), WIDER[1] * max(known)
             fine = np.geomspace(low, high, int(np.ceil(np.log(high / low) / np.log(FINE))) + 1)
+            if effect.repeats:
+                # Beyond these, so near to one another that they go out of step by no more than a radian on the way.
+                turns = np.arange(np.ceil(scales.q_peak / low), MOST_RADIANS)
+                fine = np.concatenate([scales.q_peak / turns[::-1], fine])
             grid = [_with(grid[0], lengths, length) for length in fine]
         elif lengths:
             grid += [_with(values, lengths, values[lengths] * factor) for factor in WIDER for values in list(grid)]

@@ -1,5 +1,6 @@
 """Which way a diagnosis goes: the free run of the linear model, the force equation, or a static gain."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Literal
@@ -9,13 +10,16 @@ import numpy as np
 from ..identification import Identification, identify
 from ..identification.options import drive_by
 from ..mechanics.drives import AbstractDrive, Force
-from ..mechanics.effects.base import AbstractEffect
+from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress
 from ..records import Record
-from .force_result import force_diagnosis
-from .force_route import Search
+from .force_result import FAR, force_diagnosis
+from .force_route import Search, rms_of
 from .force_search import search_forces
+from .grown import TIME_LOCAL
+from .judgement import overall
+from .residual import white_part
 from .result import Diagnosis
 from .static_route import static_diagnosis
 
@@ -39,6 +43,9 @@ USELESS = 10.0
 USABLE = 80.0
 """Fit [%] of the free run from which it is of use whatever the standard errors say."""
 
+
+NEARER = 0.5
+"""Error of the force equation's model over windows, relative to that of the free run's, from which it is the better."""
 
 HOPELESS = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
 """Failures of the linear fit that no other way mends."""
@@ -102,14 +109,15 @@ def asked_of_forces(
     progress: AbstractProgress,
     options: dict,
 ) -> Callable[[], Search | None] | None:
-    """What gives the search in the force equation of records on which the free run of some output is poor.
+    """What gives the search in the force equation of records on which the free run of some output is poor, or far from
+    what the noise of its samples explains.
 
     **Arguments:** as `begin`; `identification`: the linear fit, None where a user's own model is judged.
 
     **Returns:** a function without arguments, which searches once however often it is called and gives None where the
     force equation has no solution; None where it does not apply.
     """
-    if identification is None or worst_fit(identification) >= USABLE:
+    if identification is None or not (worst_fit(identification) < USABLE or _far(records, identification)):
         return None
     drive = drive_by(records[0], options)
     if not isinstance(drive, Force) or "acceleration" in records[0].measured:
@@ -128,13 +136,22 @@ def asked_of_forces(
 
 
 def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | None) -> Diagnosis:
-    """A diagnosis of free runs that found nothing, or what the force equation finds in its place.
+    """A diagnosis of free runs, or what the force equation finds, where the first is not sound and its model is twice
+    as far from windows of the held-out data.
 
     **Arguments:** `found`; `forces`: as `asked_of_forces` gives it.
     """
-    poor = found.verdict == "unexplained" or (found.verdict == "noise" and worst_fit(found.identification) < POOR)
-    search = forces() if forces is not None and poor else None
-    return force_diagnosis(search, found.identification) if search is not None and search.taken else found
+    sound = found.verdict in ("named", "equivalent") and (found.gain is None or found.gain.ci95[0] > 0)
+    search = None if sound or forces is None else forces()
+    if search is None or not search.taken:
+        return found
+    own = (found.baseline if found.extended is None else found.extended).model
+    # What else it has belongs to a record's clock, or to a sensor.
+    laws = (t for t in own.effects if isinstance(t.effect, AbstractForceEffect) and t.effect.id not in TIME_LOCAL)
+    runs = search.windows.run(dataclasses.replace(own, effects=tuple(laws)))
+    here, there = (runs[len(search.records) :] or runs), (search.runs[1] or search.runs[0])
+    nearer = overall(rms_of(there), rms_of(here)) < NEARER
+    return force_diagnosis(search, found.identification) if nearer else found
 
 
 def route_of(records: list[Record], identification: Identification | None, drive: AbstractDrive) -> Route:
@@ -163,6 +180,13 @@ def route_of(records: list[Record], identification: Identification | None, drive
     if fit < POOR or (undetermined and fit < USABLE):
         return "force equation"
     return "free run"
+
+
+def _far(records: list[Record], identification: Identification) -> bool:
+    """Whether the free run of some output leaves many times the noise of its samples."""
+    left = np.max([one.rmse for one in identification.estimation], axis=0)
+    quiet = [np.sqrt(white_part(np.nan_to_num(r.y), np.isfinite(r.y))) for r in records]
+    return bool(np.any(left > FAR * np.max(quiet, axis=0)))
 
 
 def worst_fit(identification: Identification) -> float:

@@ -1,14 +1,15 @@
-"""A diagnosis in words: readable names, the verdict as a sentence, everything on one screen."""
+"""A diagnosis in words: the verdict as a sentence, everything on one screen."""
 
 import math
 import re
 import textwrap
 from typing import TYPE_CHECKING
 
-from ..numerics.text import listed, plus_minus
+from ..numerics.text import listed
+from .titles import parameters_text, place_of, title_of, value_text
 
 if TYPE_CHECKING:
-    from .result import Diagnosis, Estimate, Finding, Gain, ParameterShift
+    from .result import Diagnosis, Finding, Gain, ParameterShift
 
 ONLY_NOISE = 1.05
 """RMSE over noise floor up to which what is left counts as noise."""
@@ -16,123 +17,13 @@ ONLY_NOISE = 1.05
 STANDS_IN = 1.2
 """The same on held-out data from which a law that leaves only noise on the data of its fit may stand in for another."""
 
-SHOWN = 3
-"""Parameters of one effect, and outputs, that a sentence names at most."""
+MISSED = 50.0
+"""Share of an output's motion [%] from which what a model leaves is more than a record's noise usually is."""
 
 MANY = 4.0
 """Ratio of an entry to what it should be from which a sentence says how many times it is."""
 
 MODEL_ERRORS = {"mass_error": "mass", "damping_error": "damping", "stiffness_error": "stiffness"}
-
-NAMES = {
-    "cubic_stiffness": "cubic stiffness",
-    "quadratic_stiffness": "quadratic stiffness",
-    "dead_zone_stiffness": "stiffness with a dead zone",
-    "end_stop": "end stop",
-    "bilinear_stiffness": "bilinear stiffness",
-    "sine_stiffness": "sine-shaped stiffness",
-    "constant_force": "constant force",
-    "position_dependent_stiffness": "scheduled stiffness",
-    "coulomb_friction": "Coulomb friction",
-    "stribeck_friction": "Stribeck friction",
-    "asymmetric_friction": "asymmetric friction",
-    "quadratic_drag": "quadratic drag",
-    "position_dependent_friction": "position-dependent friction",
-    "fractional_damping": "fractional (structural) damping",
-    "dahl_friction": "Dahl friction",
-    "bouc_wen_hysteresis": "Bouc-Wen hysteresis",
-    "maxwell_slip_hysteresis": "Maxwell-slip hysteresis",
-    "gyroscopic_coupling": "gyroscopic coupling",
-    "circulatory_coupling": "circulatory coupling",
-    "input_delay": "input delay",
-    "actuator_lag": "actuator lag",
-    "intersample_hold": "another hold between samples",
-    "input_saturation": "input saturation",
-    "input_dead_zone": "input dead zone",
-    "input_quadratic": "quadratic input",
-    "input_position_gain": "motion-dependent input gain",
-    "play_hysteresis": "play hysteresis",
-    "actuator_creep": "actuator creep",
-    "sensor_offset": "sensor offset",
-    "sensor_drift": "sensor drift",
-    "sensor_delay": "sensor delay",
-    "sensor_lag": "sensor lag",
-    "sensor_crosstalk": "sensor crosstalk",
-    "sensor_nonlinearity": "sensor nonlinearity",
-    "clock_scale": "clock running at another rate",
-    "unmodelled_mode": "unmodelled mode",
-    "stiffness_drift": "stiffness drift",
-    "stiffness_step": "stiffness step",
-    "mass_step": "mass step",
-    "periodic_disturbance": "periodic disturbance",
-    "force_step": "force step",
-    "mass_error": "wrong mass",
-    "damping_error": "wrong damping",
-    "stiffness_error": "wrong stiffness",
-    "sensor_clipping": "sensor clipping",
-    "sensor_quantization": "sensor quantization",
-    "outliers": "outliers",
-    "dropped_samples": "dropped samples",
-    "process_noise": "process noise",
-    "closed_loop": "closed loop",
-}
-"""What an effect is called in a sentence."""
-
-
-def name_of(effect: str) -> str:
-    """What an effect is called in a sentence, from its id."""
-    return NAMES.get(effect, effect.replace("_", " "))
-
-
-def place_of(location: str, names: tuple[str, ...] = ()) -> str:
-    """A place in words: "at y1", "between y1 and y2", "from u1 to y1".
-
-    **Arguments:** `location`: as in files; `names`: of the outputs, which may have hyphens of their own; default
-    none, then one hyphen parts two names.
-
-    **Returns:** the words, empty for no place.
-    """
-    if not location:
-        return ""
-    if location == "record":
-        return "in the record"
-    if "->" in location:
-        source, _, target = location.partition("->")
-        return f"from {source} to {target}"
-    if location not in names:
-        cuts = [k for k, letter in enumerate(location) if letter == "-"]
-        pairs = [(location[:k], location[k + 1 :]) for k in cuts]
-        for first, second in pairs:
-            if (first in names and second in names) or (not names and len(pairs) == 1):
-                return f"between {first} and {second}"
-    return f"at {location}"
-
-
-def title_of(effect: str, location: str, names: tuple[str, ...] = ()) -> str:
-    """Name and place: "Coulomb friction at y1"."""
-    return f"{name_of(effect)} {place_of(location, names)}".strip()
-
-
-def value_text(value, error, unit: str = "", *, digits: int = 2) -> str:
-    """A number, or several, ± standard error with the unit; a word as it is."""
-    if isinstance(value, str):
-        return value
-    if isinstance(value, list | tuple):
-        errors = error if isinstance(error, list | tuple) else [None] * len(value)
-        text = ", ".join(plus_minus(v, e, digits=digits) for v, e in zip(value, errors))
-    else:
-        text = plus_minus(value, error, digits=digits)
-    return f"{text} {unit}".strip()
-
-
-def parameters_text(parameters: "dict[str, Estimate]", *, digits: int = 1, most: int = SHOWN) -> str:
-    """What was estimated, "Fc = 0.241 ± 0.002 N"; what was fixed is left out unless it is a word or all there is."""
-    told = {k: e for k, e in parameters.items() if e.standard_error is not None or isinstance(e.value, str)}
-    parts = [
-        f"{name} = {value_text(e.value, e.standard_error, e.unit, digits=digits)}"
-        for name, e in list((told or parameters).items())[:most]
-    ]
-    return ", ".join(parts)
 
 
 def verdict_sentence(diagnosis: "Diagnosis") -> str:
@@ -169,12 +60,26 @@ def _missed(diagnosis: "Diagnosis", subject: str) -> str:
     excess, place = worst_output(diagnosis)
     where = f" at {place}" if place else ""
     if diagnosis.verdict == "noise" and diagnosis.extended is None:
+        missed, poor = _poorest(diagnosis)
+        if missed > MISSED:
+            text = f"What {subject[0].lower()}{subject[1:]} leaves passes for noise, though it is {missed:.0f} % of the"
+            return f"{text} motion at {poor}: so strong an effect that none can be told looks the same."
         text = f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
         return text + "nothing is missing that this record could show."
     if diagnosis.verdict == "unexplained" and excess < ONLY_NOISE:
         # The floor is what the model itself leaves on the data of the fit.
         return f"{subject} leaves more than noise{where}."
     return f"{subject} misses {times(excess)} the noise floor{where}."
+
+
+def _poorest(diagnosis: "Diagnosis") -> tuple[float, str]:
+    """How much of the motion [%] the baseline misses on the data of the fit at the output that it misses most of."""
+    fits = diagnosis.baseline.fit_percent.get("estimation") or {}
+    fits = {name: fit for name, fit in fits.items() if fit is not None and math.isfinite(fit)}
+    if not fits:
+        return 0.0, ""
+    place = min(fits, key=fits.__getitem__)
+    return 100.0 - fits[place], place
 
 
 def _seen(finding: "Finding", names: tuple[str, ...]) -> str:
@@ -267,9 +172,12 @@ def _gain(diagnosis: "Diagnosis", causes: "list[Finding]") -> str:
     wrong = sum(f.effect in MODEL_ERRORS for f in causes)
     verb = "Adding" if not wrong else "Correcting" if wrong == len(causes) else "Mending"
     count = {1: "it", 2: "both", 3: "all three", 4: "all four"}.get(len(causes), "all of them")
+    if any(f.stage == "record" and f.gain is not None for f in diagnosis.findings) and causes[0].stage == "model":
+        count += ", and mending the record,"
     error = "the held-out error" if gain.held_out else "the error"
     if gain.percent > 0:
-        change = f"{verb} {count} cuts {error} by {gain_text(gain)}"
+        here = " here, though it need not on other records," if gain.held_out and gain.ci95[0] < 0 else ""
+        change = f"{verb} {count} cuts {error}{here} by {gain_text(gain)}"
     else:
         change = f"{verb} {count} does not lower {error} ({gain_text(gain)})"
     if not gain.held_out:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from ..diagnosis.missing_force import missing_forces
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.spectra import spectra
-from ..diagnosis.words import title_of
+from ..diagnosis.titles import title_of
 from .binning import binned, decided_by
 from .diagnosis_rows import budget_name, candidates
 from .diagnosis_summary import diagnosis_document

@@ -2,7 +2,8 @@
 
 import re
 
-from ..diagnosis.words import NAMES, entry_of, place_of, times, title_of, value_text
+from ..diagnosis.titles import NAMES, place_of, title_of, value_text
+from ..diagnosis.words import entry_of, times
 from ..numerics.text import plus_minus
 from .identification_rows import MATRICES
 from .rows import Rows, number

@@ -3,7 +3,8 @@
 import numpy as np
 
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.words import place_of, times, title_of
+from ..diagnosis.titles import place_of, title_of
+from ..diagnosis.words import times
 from ..mechanics.effects import AbstractEffect
 from .diagnosis_rows import (
     budget_rows,

@@ -94,8 +94,9 @@ class AbstractEffect(eqx.Module):
     the force in (q, v), or of the signal; `signature`: what gives it away, one line; `law`: formula in words;
     `reference`; `places`: where it can act: "coordinate" (one to ground), "spring" (one to ground, or between two),
     "pair" (between two only), "input", "output", "record" (all outputs), "cross" (source->polluted); `contains`: ids
-    of simpler laws that it turns into where its further parameters vanish; `becomes`: ids of those that it is
-    where it is `unresolved`; `stage`: whether a finding says what is missing of the "model" or wrong with the "record".
+    of simpler laws that it turns into where its further parameters vanish; `becomes`: ids of those that it is where it
+    is `unresolved`; `repeats`: whether the force comes again and again over displacement; `stage`: whether a finding
+    says what is missing of the "model" or wrong with the "record".
     """
 
     id: ClassVar[str]
@@ -108,6 +109,7 @@ class AbstractEffect(eqx.Module):
     places: ClassVar[str]
     contains: ClassVar[tuple[str, ...]] = ()
     becomes: ClassVar[tuple[str, ...]] = ()
+    repeats: ClassVar[bool] = False
     stage: ClassVar[str] = "model"
 
     __getattribute__ = object.__getattribute__

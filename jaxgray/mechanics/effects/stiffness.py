@@ -136,6 +136,7 @@ class SineStiffness(AbstractForceEffect):
     )
     parity = "odd"
     becomes = ("cubic_stiffness",)
+    repeats = True
     signature = "softening with a bounded force"
     reference = "Nayfeh & Mook, Nonlinear Oscillations, Wiley 1979, §2.1.1"
     places = "spring"
