@@ -27,7 +27,8 @@ class Bench:
     `simulator`; `data` of estimation and of validation; `catalogue`; `names` of inputs and outputs; `held`: entries
     that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
     of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
-    `forces`: gives what the force equation finds (None where it has no solution), where it may be asked.
+    `forces`: gives what the force equation finds (None where it has no solution), where it may be asked;
+    `out_of_step`: whether the free run is of no use unless that brings it into step.
     """
 
     simulator: Simulator
@@ -42,6 +43,7 @@ class Bench:
     progress: AbstractProgress
     identified: "Identified | None" = None
     forces: "Callable[[], Search | None] | None" = None
+    out_of_step: bool = False
 
 
 _chains: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKeyDictionary()

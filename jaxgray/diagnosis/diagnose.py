@@ -48,7 +48,7 @@ from .record_findings import noise_findings, record_findings, still_spoilt
 from .refitting import explainable_share
 from .response import Simulator
 from .result import Diagnosis, Finding
-from .routes import asked_of_forces, begin, by_force_equation
+from .routes import asked_of_forces, begin, by_force_equation, may_come_into_step
 
 FORCES = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
 
@@ -180,6 +180,7 @@ def _of_clean_records(
         np.random.default_rng(seed),
         progress,
         forces=asked_of_forces(records, held, identification, searched, max_effects, seed, progress, options),
+        out_of_step=identification is not None and may_come_into_step(identification),
     )
     if model is not None:
         bench = dataclasses.replace(bench, identified=identified(bench.simulator, records, bench.data, options))

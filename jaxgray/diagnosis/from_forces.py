@@ -24,15 +24,21 @@ NEARER = 0.5
 """Share of the sum of squares of the linear model's free run that a law may leave to be of interest."""
 
 
+def heard(bench: Bench) -> bool:
+    """Whether the force equation may be asked, and finds something."""
+    search = None if bench.forces is None else bench.forces()
+    return search is not None and bool(search.taken)
+
+
 def from_forces(bench: Bench, stage: Stage, screening: Screening) -> list[Attempt]:
     """What the force equation finds first, and what it does not tell from it, refitted by the free run, best first;
     none where it is not asked, finds nothing, or the free run is no nearer with it.
 
     **Arguments:** `bench`; `stage`: without any law; `screening`: of that stage.
     """
-    search = None if bench.forces is None or stage.candidate.terms else bench.forces()
-    if search is None or not search.taken:
+    if stage.candidate.terms or not heard(bench):
         return []
+    search = bench.forces()
     chain = white_chain(stage.e, bench.data[0].kept, stage.system)
     left = float(np.sum(np.where(bench.data[0].kept, stage.e, 0.0) ** 2))
 

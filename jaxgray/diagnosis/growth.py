@@ -10,7 +10,7 @@ from .belief import UNSURE, floor_of, judged, unsound
 from .bench import Bench
 from .competitor import FlexibleForce
 from .credit import CLEAR, by_free_run, by_free_runs, lend, lendable, withdraw
-from .from_forces import from_forces
+from .from_forces import from_forces, heard
 from .gain import gain_of
 from .grown import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
 from .hidden_modes import hidden_modes
@@ -86,6 +86,9 @@ def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffe
     growth.screening = screening
     growth.first = screening if growth.first is None else growth.first
     growth.unexplained = screening.fires
+    if bench.out_of_step and not growth.stage.candidate.terms and heard(bench):
+        growth.unexplained = True
+        return 1 if left > 0 and _accepted(bench, growth, from_forces(bench, growth.stage, screening)) else None
     closer = None
     if not screening.fires and not _strong(screening):
         closer = _behind_the_noise(bench, growth.stage, screening)

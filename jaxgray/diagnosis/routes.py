@@ -90,8 +90,10 @@ def begin(
                 # What is wrong with the record says the linear fit.
                 raise failure from error
             return identification
-        # What the force equation does not hear, a free run may that is poor, but not without use.
-        if search.taken or identification is None or _fit(identification) < USELESS:
+        # What the force equation does not hear, a free run may that is poor, but not without use; and what it hears
+        # may bring the free run of a body on a spring into step.
+        in_step = search.taken and identification is not None and may_come_into_step(identification)
+        if not in_step and (search.taken or identification is None or _fit(identification) < USELESS):
             return force_diagnosis(search, identification)
         return identification
     if failure is not None:
@@ -135,6 +137,11 @@ def asked_of_forces(
     return search
 
 
+def may_come_into_step(identification: Identification) -> bool:
+    """Whether the free run is poor, of a body on springs: with a law that is missing it may follow the record."""
+    return bool(np.any(identification.stiffness)) and _fit(identification) < POOR
+
+
 def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | None) -> Diagnosis:
     """A diagnosis of free runs, or what the force equation finds, where the first is not sound and its model is twice
     as far from windows of the held-out data.
@@ -145,6 +152,8 @@ def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | No
     search = None if sound or forces is None else forces()
     if search is None or not search.taken:
         return found
+    if found.extended is None and may_come_into_step(found.identification):
+        return force_diagnosis(search, found.identification)
     own = (found.baseline if found.extended is None else found.extended).model
     # What else it has belongs to a record's clock, or to a sensor.
     laws = (t for t in own.effects if isinstance(t.effect, AbstractForceEffect) and t.effect.id not in TIME_LOCAL)
