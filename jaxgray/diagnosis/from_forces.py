@@ -11,7 +11,7 @@ from ..numerics.side_by_side import side_by_side
 from .bench import Bench, chain_of
 from .extension import refit
 from .pursuit import ROUGH, pursued
-from .refitting import Attempt, compared
+from .refitting import Attempt, by_contact, compared
 from .residual import white_chain
 from .screening import Screening
 from .shortlist import begun_at
@@ -63,7 +63,8 @@ def from_forces(bench: Bench, stage: Stage, screening: Screening) -> list[Attemp
             return None
         bench.progress.stage(f"pursuing {effect} at {place}")
         end = pursued(bench, fit)
-        return Attempt(begun_at(score, np.asarray(trial.term.values, float)), end, chain_of(bench, end))
+        begun = begun_at(score, np.asarray(trial.term.values, float))
+        return by_contact(bench, Attempt(begun, end, chain_of(bench, end)), stage)
 
     first = search.taken[0]
     attempts = side_by_side(refitted, [first.trial, *first.rivals])
