@@ -28,7 +28,7 @@ from .result import (
 )
 from .screening import Screening
 from .thresholds import at_one_threshold, elements_of
-from .titles import title_of
+from .titles import place_of, title_of
 
 
 def unit_text(powers: tuple[int, int, int], force: str, length: str) -> str:
@@ -290,4 +290,14 @@ def open_scale(growth: Growth, setup: Setup, names: tuple[str, ...]) -> tuple[st
     return (
         f"This record does not determine all of M, D, K{beside}: their standard errors leave out a direction in which "
         "nothing shows. Fix an entry that you know.",
+    )
+
+
+def picked_up(growth: Growth, names: tuple[str, ...]) -> tuple[str, ...]:
+    """A warning where a periodic force may be a hum that a sensor picks up."""
+    places = [a.attempt.name[1] for a in growth.accepted if a.attempt.name[0] == "periodic_disturbance"]
+    return tuple(
+        f"A hum that the sensor {place_of(place, names)} picks up looks the same as a periodic force there. If the "
+        "force is larger than any that acts, it is one: switch off what hums, or filter the line."
+        for place in places
     )

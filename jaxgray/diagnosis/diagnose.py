@@ -23,6 +23,7 @@ from .assembly import (
     model_of,
     not_found_of,
     open_scale,
+    picked_up,
     shifts_of,
     summary_of,
 )
@@ -268,7 +269,7 @@ def _assembled(
         verdict = "partly" if mends_model else "unexplained"
     else:
         verdict = "equivalent" if "equivalent" in model_findings else "named" if model_findings else "noise"
-    warnings = open_scale(growth, setup, names)
+    warnings = open_scale(growth, setup, names) + picked_up(growth, names)
     warnings += () if identification is None else _own_warnings(identification, growth)
     taken = accepted_names(growth.accepted)
     return Diagnosis(

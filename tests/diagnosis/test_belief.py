@@ -5,11 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from jaxgray.diagnosis.assembly import picked_up, unit_text
 from jaxgray.diagnosis.growth import _class_of, _unsure
 from jaxgray.diagnosis.judgement import SIGNIFICANT, significance
 from jaxgray.diagnosis.result import Rejected
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
+
+HUM = ("periodic_disturbance", "y2")
 
 
 def fitted(values, *, alike=0.0):
@@ -65,3 +68,18 @@ def test_only_what_was_refused_for_its_error_alone_in_this_round_is_judged_again
     growth = SimpleNamespace(rejected=[earlier, now, other])
     assert [one.name[0] for one in _unsure(growth, ranked, 1)] == ["sine_stiffness"]
     assert growth.rejected == [earlier, other]
+
+
+def test_a_periodic_force_is_said_to_look_like_hum_of_the_sensor():
+    named = [
+        SimpleNamespace(attempt=attempt("cubic_stiffness", 0.0)),
+        SimpleNamespace(attempt=SimpleNamespace(name=HUM)),
+    ]
+    (said,) = picked_up(SimpleNamespace(accepted=named), ("y1", "y2"))
+    assert said.startswith("A hum that the sensor at y2 picks up looks the same as a periodic force there.")
+
+
+def test_forces_under_a_moving_base_are_those_on_a_mass_of_one():
+    for force in ("m", "m/s^2", "m/s²"):
+        assert unit_text((1, -2, 2), force, "m") == "1/m" and unit_text((1, -1, 0), force, "m") == "1/s^2"
+    assert unit_text((1, -2, 2), "N", "m") == "N s^2/m^2" and unit_text((1, 0, 0), "", "m") == ""
