@@ -48,10 +48,11 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
         errors = dict(zip(("mass", "damping", "stiffness"), search.fit.errors))
         shifts = shifts_of(search.model(search.base), search.model(search.fit), errors)
         before, after = (x[1] or x[0] for x in (search.base_runs, search.runs))
-        gain = gain_of(before, after, before, floor, names, held_out=bool(held), rng=search.rng)
         if len(search.taken) == 1:
             # The same, from the same draws: one finding must not have two intervals.
             gain = search.taken[0].gain
+        else:
+            gain = gain_of(before, after, before, floor, names, held_out=bool(held), rng=search.rng)
     verdict = "noise"
     if lost or (search.strong and findings):
         verdict = "partly" if findings else "unexplained"

@@ -128,7 +128,7 @@ class Candidate:
         return dataclasses.replace(self, terms=tuple(terms))
 
     def with_entries(self, entries) -> "Candidate":
-        """The same with other M, D, K."""
+        """The same with other M, D, K: joined blocks, scaled, as `Setup.entries_of` makes them."""
         return dataclasses.replace(self, entries=np.asarray(entries, float))
 
 

@@ -43,7 +43,6 @@ USELESS = 10.0
 USABLE = 80.0
 """Fit [%] of the free run from which it is of use whatever the standard errors say."""
 
-
 NEARER = 0.5
 """Error of the force equation's model over windows, relative to that of the free run's, from which it is the better."""
 
@@ -82,6 +81,10 @@ def begin(
         return static_diagnosis(
             records, held, drive, catalogue, max_effects, identification=identification, rng=rng, progress=progress
         )
+    in_step = identification is not None and may_come_into_step(identification)
+    if in_step and _fit(identification) >= USELESS:
+        # What the force equation hears is asked for by the loop, and a free run that is poor may hear more.
+        return identification
     if route == "force equation":
         try:
             search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
@@ -92,8 +95,8 @@ def begin(
             return identification
         # What the force equation does not hear, a free run may that is poor, but not without use; and what it hears
         # may bring the free run of a body on a spring into step.
-        in_step = search.taken and identification is not None and may_come_into_step(identification)
-        if not in_step and (search.taken or identification is None or _fit(identification) < USELESS):
+        useless = identification is None or _fit(identification) < USELESS
+        if (search.taken or useless) and not (search.taken and in_step):
             return force_diagnosis(search, identification)
         return identification
     if failure is not None:

@@ -18,7 +18,7 @@ STANDS_IN = 1.2
 """The same on held-out data from which a law that leaves only noise on the data of its fit may stand in for another."""
 
 MISSED = 50.0
-"""Share of an output's motion [%] from which what a model leaves is more than a record's noise usually is."""
+"""Share of an output's motion [%] from which what a model leaves, unless white, is more than noise usually is."""
 
 MANY = 4.0
 """Ratio of an entry to what it should be from which a sentence says how many times it is."""
@@ -61,7 +61,7 @@ def _missed(diagnosis: "Diagnosis", subject: str) -> str:
     where = f" at {place}" if place else ""
     if diagnosis.verdict == "noise" and diagnosis.extended is None:
         missed, poor = _poorest(diagnosis)
-        if missed > MISSED:
+        if missed > MISSED and not diagnosis.white:
             text = f"What {subject[0].lower()}{subject[1:]} leaves passes for noise, though it is {missed:.0f} % of the"
             return f"{text} motion at {poor}: so strong an effect that none can be told looks the same."
         text = f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
