@@ -79,8 +79,9 @@ def expected(
         drive, structure = drive_by(record, options), structure_of(options.get("structure"))
     else:
         drive, structure = model.drive, Structure()
-    names = record.input_names, record.output_names
-    setup = Setup(drive, record.measured, scaling_of(records), structure, np.zeros(0, bool), *names)
+    names, scaling = (record.input_names, record.output_names), scaling_of(records)
+    structure = structure.scaled(np.asarray(scaling.coordinates))
+    setup = Setup(drive, record.measured, scaling, structure, np.zeros(0, bool), *names)
     blocks = structure.blocks(*(np.eye(setup.dofs),) * 3, lift=0.0)
     return Simulator(setup, laws), Candidate(np.asarray(join(blocks)), (np.zeros(2 * setup.dofs),) * len(records))
 

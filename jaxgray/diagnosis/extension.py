@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..identification.conic import MASS_FLOOR, pseudo_inverse, step_inside, undetermined
+from ..identification.conic import pseudo_inverse, step_inside, undetermined
 from ..mechanics.effects.base import Term
 from ..numerics.positive import ClarabelSolver
 from .equations import Equations
@@ -137,9 +137,8 @@ class _Step:
         bounded = np.isfinite(layout.lower)
         self.blocked = np.concatenate([np.arange(layout.entries), layout.first + np.flatnonzero(bounded)])
         self.free = np.setdiff1d(np.arange(layout.size), self.blocked)
-        owners = setup.structure.owners(setup.dofs)
         self.sizes = (*setup.sizes, *(1,) * int(bounded.sum()))
-        self.floors = np.concatenate([[MASS_FLOOR if o == "mass" else 0.0 for o in owners], layout.lower[bounded]])
+        self.floors = np.concatenate([setup.structure.floors(setup.dofs), layout.lower[bounded]])
         self.solver = ClarabelSolver()
 
     def __call__(self, theta, H, g, damping):

@@ -27,6 +27,8 @@ NEAR = 0.1
 the cone that follow are exact."""
 NEAR_EDGE = 1e-6
 """The same for a start at the edge of the cone, from where those steps are ill-conditioned."""
+CANCELLED = 1e-6
+"""Share of a sum of squares below which a difference of such sums is all rounding."""
 LONGEST = 20.0
 """Most by which one step changes the logarithm of a factor's diagonal: beyond it lies overflow."""
 
@@ -90,12 +92,19 @@ class _Factors:
 
     @property
     def blocks(self) -> list[np.ndarray]:
-        return unpack(self.vectors, self.scales, self.logarithmic, self.sizes)
+        # What overflows is no block, and refused by who asks.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return unpack(self.vectors, self.scales, self.logarithmic, self.sizes)
 
     @property
     def entries(self) -> int:
         """Number of entries of all blocks."""
         return sum(len(vector) for vector in self.vectors)
+
+    @property
+    def finite(self) -> bool:
+        """Whether the blocks are."""
+        return all(np.all(np.isfinite(block)) for block in self.blocks)
 
     def stepped(self, step: np.ndarray) -> "_Factors":
         """The factors after a step of their vectors."""
@@ -106,9 +115,11 @@ class _Factors:
             vectors.append(vector + np.where((rows == columns) & as_logarithm, np.clip(move, -LONGEST, LONGEST), move))
         return replace(self, vectors=vectors)
 
-    def normal(self, products: Products, whitening: np.ndarray) -> Normal:
-        """Normal equations by the vectors of the factors, then the nuisance."""
-        by_blocks = products.normal(whitening)
+    def normal(self, products: Products, whitening: np.ndarray, criterion: Criterion) -> Normal:
+        """Normal equations by the vectors of the factors, then the nuisance; infinitely costly after an overflow."""
+        by_blocks = criterion.normal(products, whitening, self.blocks)
+        if not np.isfinite(by_blocks.cost):
+            return by_blocks
         charts = [_chart(*each) for each in zip(self.vectors, self.scales, self.logarithmic, self.sizes)]
         T = sl.block_diag(*charts, np.eye(len(by_blocks.gradient) - self.entries))
         return Normal(by_blocks.cost, T.T @ by_blocks.gradient, T.T @ by_blocks.information @ T)
@@ -125,11 +136,19 @@ def _chart(vector, scale, as_logarithm, n) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, max_steps: int = 120) -> CholeskyEnd:
+def cholesky_steps(
+    start: Iterate,
+    criterion: Criterion,
+    *,
+    first: Products | None = None,
+    near: float = NEAR,
+    max_steps: int = 120,
+) -> CholeskyEnd:
     """Damped Gauss-Newton steps until none promises more than `near`.
 
-    **Arguments:** `start`, its blocks positive definite, its whitening that of the first step; `criterion`; `near`:
-    the decrement to stop at, in units of the noise variance; `max_steps`: most evaluations.
+    **Arguments:** `start`, its blocks positive definite, its whitening that of the first step; `criterion`; `first`:
+    the products at the start where they are known; `near`: the decrement to stop at, in units of the noise variance;
+    `max_steps`: most evaluations.
 
     **Returns:** a `CholeskyEnd`.
 
@@ -137,8 +156,8 @@ def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, 
     """
     nuisance, whitening, count = start.nuisance, start.whitening, criterion.count
     factors = _Factors.of(start.blocks, criterion)
-    here = criterion.evaluate(factors.blocks, nuisance)
-    normal, damping, steps = factors.normal(here, whitening), FIRST_DAMPING, 1
+    here = criterion.evaluate(factors.blocks, nuisance) if first is None else first
+    normal, damping, steps = factors.normal(here, whitening, criterion), FIRST_DAMPING, 1
     unit, rested = _size(normal), False
     while steps < max_steps and damping < MOST_DAMPING and np.isfinite(normal.cost):
         step, decrement = _step(normal, damping, unit)
@@ -149,9 +168,12 @@ def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, 
             break
         trial_factors = factors.stepped(step[: factors.entries])
         trial_nuisance = moved(nuisance, step[factors.entries :])
+        if not trial_factors.finite:
+            damping = max(4 * damping, 1e-4)
+            continue
         trial = criterion.evaluate(trial_factors.blocks, trial_nuisance)
         steps += 1
-        trial_normal = trial_factors.normal(trial, whitening)
+        trial_normal = trial_factors.normal(trial, whitening, criterion)
         done = decrement < near * normal.cost / count
         if not (np.isfinite(trial_normal.cost) and trial_normal.cost <= normal.cost):
             if done:
@@ -167,30 +189,60 @@ def cholesky_steps(start: Iterate, criterion: Criterion, *, near: float = NEAR, 
             # What a wrong model leaves is no noise: its correlations would lead astray, its sizes do not.
             renewed = here.whitening(False)
             done = done and np.max(np.abs(np.diag(renewed) / np.diag(whitening) - 1)) < 0.1
-            whitening, normal = renewed, factors.normal(here, renewed)
+            whitening, normal = renewed, factors.normal(here, renewed, criterion)
         if done or here.exact:
             break
         damping = less * damping if damping > 1e-7 else 0.0
     return _end(factors.blocks, nuisance, here, criterion, steps)
 
 
-def at_start(start: Iterate, criterion: Criterion) -> CholeskyEnd:
+def at_start(start: Iterate, criterion: Criterion, first: Products) -> CholeskyEnd:
     """The blocks of the start as they are, also where no factor of theirs moves, with the best first states and
-    offsets; an end beside those of `cholesky_steps`."""
-    blocks, nuisance = [np.asarray(block) for block in start.blocks], start.nuisance
+    offsets; an end beside those of `cholesky_steps`.
+
+    **Arguments:** `start`; `criterion`; `first`: the products there.
+    """
+    blocks = [np.asarray(block) for block in start.blocks]
+    nuisance = moved(start.nuisance, _nuisance_step(blocks, first, start.whitening))
+    return _end(blocks, nuisance, criterion.evaluate(blocks, nuisance), criterion, 1)
+
+
+def start_cost(start: Iterate, criterion: Criterion, first: Products) -> float:
+    """`at_start(…).cost`, without another evaluation where rounding allows it: first states and offsets are linear in
+    the errors."""
+    change = np.eye(first.table.shape[-1])
+    step = _nuisance_step([np.asarray(block) for block in start.blocks], first, start.whitening)
+    change[-1 - len(step) : -1, -1] = step
+    if not first.finite:
+        return np.inf
+    there = Products(np.einsum("ca,opcd,db->opab", change, first.table, change), first.counts)
+    before, after = (np.diagonal(products.table[:, :, -1, -1]) for products in (first, there))
+    if np.any(after < CANCELLED * before):
+        return at_start(start, criterion, first).cost
+    return likelihood_cost(there, criterion)
+
+
+def _nuisance_step(blocks, first: Products, whitening: np.ndarray) -> np.ndarray:
+    """The step to the best first states and offsets, none where the start is not finite."""
     entries = sum(len(block) * (len(block) + 1) // 2 for block in blocks)
-    normal = criterion.evaluate(blocks, nuisance).normal(start.whitening)
-    if np.all(np.isfinite(normal.information)) and np.all(np.isfinite(normal.gradient)):
-        inner = pseudo_inverse(normal.information[entries:, entries:])
-        nuisance = moved(nuisance, -inner @ normal.gradient[entries:])
-    return _end(blocks, nuisance, criterion.evaluate(blocks, nuisance), criterion, 2)
+    normal = first.normal(whitening)
+    if not np.isfinite(normal.cost):
+        return np.zeros(len(normal.gradient) - entries)
+    return -pseudo_inverse(normal.information[entries:, entries:]) @ normal.gradient[entries:]
+
+
+def likelihood_cost(products: Products, criterion: Criterion) -> float:
+    """Minus twice the logarithm of the likelihood of the errors, their covariance concentrated out; ∞ after an
+    overflow."""
+    whitening = products.whitening(criterion.correlated)
+    cost = float(-2 * np.sum(products.counts * np.log(np.diag(whitening))))
+    return cost if np.isfinite(cost) else np.inf
 
 
 def _end(blocks, nuisance, here: Products, criterion: Criterion, steps: int) -> CholeskyEnd:
     """The end at these blocks: weights and likelihood from the errors that are left there."""
     whitening = here.whitening(criterion.correlated)
-    cost = float(-2 * np.sum(here.counts * np.log(np.diag(whitening))))
-    return CholeskyEnd(Iterate(blocks, nuisance, whitening), here, cost if np.isfinite(cost) else np.inf, steps)
+    return CholeskyEnd(Iterate(blocks, nuisance, whitening), here, likelihood_cost(here, criterion), steps)
 
 
 def _size(normal: Normal) -> np.ndarray:

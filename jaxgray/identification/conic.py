@@ -14,9 +14,6 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
 from .normal import Criterion, Iterate, Normal, Products, join, moved, part
 
-MASS_FLOOR = 1e-9
-"""Smallest eigenvalue of a mass block, relative to its mean one: the model needs an inverse."""
-
 DECREMENT = 1e-5
 """Stop when a step would change the sum of squares by less than this, in units of the noise variance."""
 
@@ -24,14 +21,18 @@ NOTHING = 1e-7
 """The same for a step that is not even taken: it would move no parameter by a thousandth of its standard error."""
 
 
+NO_SIZE = 1e-6
+"""Standard errors below which a block counts as having no size of its own."""
+
 SHARED = 0.01
 """Squared part of a variable in null directions from which these move it."""
 
 
 class ConicEnd(eqx.Module):
-    """Where the iteration ended."""
+    """Where the iteration ended; `products` and `normal` are those of that place."""
 
     at: Iterate
+    products: Products
     normal: Normal
     steps: int
     decrement: float
@@ -150,14 +151,14 @@ def conic_steps(
     entries = sum(n * (n + 1) // 2 for n in sizes)
     held = None if fixed is None else np.asarray(fixed, bool)
     z = join(blocks)
-    unit = np.concatenate([np.full(n * (n + 1) // 2, np.trace(b) / n) for n, b in zip(sizes, blocks)])
-    floors = np.array([MASS_FLOOR if owner == "mass" else 0.0 for owner in criterion.owners])
+    floors = np.array(criterion.structure.floors(criterion.setting.dofs))
     solver = ClarabelSolver()
     damping, decrement, converged, settled = 0.0, np.inf, False, False
     found = criterion.evaluate(blocks, nuisance) if first is None else first
-    normal = found.normal(whitening)
+    normal = criterion.normal(found, whitening, blocks)
     if not np.all(np.isfinite(normal.information)):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement", detail="its start is not finite")
+    unit = block_units(blocks, np.diag(normal.information))
     steps = 0
     while steps < max_steps and damping < 1e8 and not converged:
         steps += 1
@@ -169,8 +170,7 @@ def conic_steps(
         slope = (g[:entries] - across @ g[entries:]) * unit
         diagonal = np.maximum(np.diag(reduced), 1e-14 * np.max(np.diag(reduced)))
         reduced = (reduced + reduced.T) / 2 + np.diag((damping + 1e-14) * diagonal)
-        here = z / unit
-        dz = step_inside(solver, reduced, slope, here, floors, sizes, held)
+        dz = step_inside(solver, reduced, slope, z / unit, floors, sizes, held)
         if dz is None:
             damping = max(10 * damping, 1e-3)
             continue
@@ -186,14 +186,14 @@ def conic_steps(
         trial_nuisance = moved(nuisance, dn)
         trial_blocks = part(z + dz * unit, sizes)
         trial = criterion.evaluate(trial_blocks, trial_nuisance)
-        trial_normal = trial.normal(whitening)
+        trial_normal = criterion.normal(trial, whitening, trial_blocks)
         allowed = float(normal.cost) + DECREMENT * variance
         if not (np.isfinite(float(trial_normal.cost)) and float(trial_normal.cost) <= allowed):
             # Rounding is all that is left where the step itself promises next to nothing.
             converged = abs(decrement) < 100 * DECREMENT
             damping = max(10 * damping, 1e-4)
             continue
-        z, nuisance, blocks, normal = z + dz * unit, trial_nuisance, trial_blocks, trial_normal
+        z, nuisance, blocks, found, normal = z + dz * unit, trial_nuisance, trial_blocks, trial, trial_normal
         damping = damping / 10 if damping > 1e-7 else 0.0
         change = 0.0
         if nuisance.noise is None:
@@ -201,7 +201,24 @@ def conic_steps(
             ratio = np.linalg.solve(whitening.T, renewed.T).T
             change = float(np.max(np.abs(ratio - np.eye(len(ratio)))))
             if change > 1e-6:
-                whitening, normal = renewed, trial.normal(renewed)
+                whitening, normal = renewed, criterion.normal(trial, renewed, blocks)
         settled = change < 1e-3
         converged = (damping == 0.0 and decrement < DECREMENT and settled) or trial.exact
-    return ConicEnd(Iterate(blocks, nuisance, whitening), normal, steps, decrement, converged)
+    return ConicEnd(Iterate(blocks, nuisance, whitening), found, normal, steps, decrement, converged)
+
+
+def block_units(blocks: list[np.ndarray], curvature: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " entries"]:
+    """Units of the entries in which a step over the cone is well scaled: the mean eigenvalue of the block, or what one
+    standard deviation of the noise moves it by where it has none (a spring that is not there).
+
+    **Arguments:** `blocks`; `curvature`: diagonal of the information, of the entries first.
+    """
+    units, at = [], 0
+    for block in blocks:
+        n = len(block)
+        count = n * (n + 1) // 2
+        size, known = np.trace(block) / n, np.max(curvature[at : at + count])
+        spread = 1 / np.sqrt(known) if known > 0 else 1.0
+        units.append(np.full(count, size if size > NO_SIZE * spread else spread))
+        at += count
+    return np.concatenate(units)

@@ -11,18 +11,22 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import rarely_collecting, ready, relieve
 from ..records import Record, check_compatible, preflight
+from .base_start import MassKnowledge
 from .options import drive_of, fixed_entries, parse_fix, pick, with_known
 from .prediction import Batch, Setting
 from .preparation import Signals, prepare, scaling_of
+from .prior import mass_prior
 from .projection import WEIGHTS
 from .reach import check_reach
 from .realization import MAPS
+from .refine import Refinement
 from .refine import refine as refine_model
 from .result import Identification, assess
 from .rigid import DRIFT, rigid_modes, windows, without_stiffness
 from .start import Start, StartOptions, filled, model_run, nearest_physical, total_deviation
 from .starts import other_starts, starts_of
-from .structure import structure_of
+from .structure import Structure, structure_of
+from .structured_start import is_relaxed, refine_structured, relaxed
 from .sweep import default_time_constants, score, usable_block_rows
 
 MOST_STARTS = 3
@@ -111,6 +115,7 @@ def identify(
             "Base excitation determines M⁻¹D and M⁻¹K only: the model is normalised to mass[0,0] = 1; give a mass "
             "with fix to set the scale."
         )
+    form = form.scaled(np.asarray(scaling.coordinates))
     held, known = fixed_entries(entries, form, scaling)
     setting = Setting(
         jax.device_get(drive).scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time),
@@ -121,8 +126,13 @@ def identify(
     complete = filled(records, scaling, None) if any(r.has_missing for r in records) else signals
     check_reach(complete, records[0].input_names, records[0].output_names)
 
+    held_free, _ = fixed_entries(entries, relaxed(form), scaling)
+    mass = None
+    if not isinstance(drive, Force):
+        held_full, _ = fixed_entries(entries, Structure(), scaling)
+        mass = MassKnowledge(mass_prior(Structure(), scaling, known["mass"], held_full), held_full, known["mass"])
     options = _start_options(
-        records, time_constants, block_rows, weight, map, input_matrix_from, known["mass"], thorough=not refine
+        records, time_constants, block_rows, weight, map, input_matrix_from, known["mass"], mass, thorough=not refine
     )
     starts = starts_of(complete, setting, scaling.sampling_time, options, progress)
     if complete is not signals:
@@ -154,18 +164,22 @@ def identify(
     if refine:
 
         def refined(start: Start):
-            M, D, K = physical(start)
-            values = np.linalg.eigvalsh(K)
-            return refine_model(
-                (M, D, K),
-                batch,
-                setting,
-                structure=form,
-                offset=bool(values[0] > 1e-6 * values[-1]),
-                innovations=noise == "innovations",
-                fixed=held,
-                deviation=start.deviation,
-            )
+            matrices = physical(start)
+            values = np.linalg.eigvalsh(matrices[2])
+            options = {
+                "offset": bool(values[0] > 1e-6 * values[-1]),
+                "innovations": noise == "innovations",
+                "deviation": start.deviation,
+            }
+
+            def within(matrices, structure: Structure, fixed, *, near: bool = False) -> Refinement:
+                prior = None if isinstance(drive, Force) else mass_prior(structure, scaling, known["mass"], fixed)
+                given = {"structure": structure, "fixed": fixed, "prior": prior, "near": near}
+                return refine_model(matrices, batch, setting, **given, **options)
+
+            if is_relaxed(form):
+                return within(matrices, form, held)
+            return refine_structured(matrices, form, held, held_free, within)
 
         others = partial(other_starts, complete, setting, scaling.sampling_time, options, start, progress)
         start, refinement = _best_refined(starts, others, refined, setting, signals, progress)
@@ -232,7 +246,7 @@ def _grid(values, default, name: str) -> np.ndarray:
 
 
 def _start_options(
-    records, time_constants, block_rows, weight, map, input_matrix_from, mass, *, thorough
+    records, time_constants, block_rows, weight, map, input_matrix_from, known_mass, mass, *, thorough
 ) -> StartOptions:
     """What the start is looked for with, checked against the records."""
     longest = max(records, key=lambda r: r.samples)
@@ -248,8 +262,8 @@ def _start_options(
             stage="subspace start",
             detail=f"{longest.samples} samples for {max(rows)} block rows, which need more than {columns}",
         )
-    known_mass = mass if np.all(np.isfinite(mass)) else None
-    return StartOptions(taus, rows, weight, map, input_matrix_from, known_mass, thorough)
+    known_mass = known_mass if np.all(np.isfinite(known_mass)) else None
+    return StartOptions(taus, rows, weight, map, input_matrix_from, known_mass, thorough, mass)
 
 
 def _best_refined(

@@ -28,7 +28,7 @@ from .preparation import prepare, scaling_of
 from .projection import WEIGHTS
 from .realization import ExactMap
 from .start import POOR, StartOptions, filled, subspace_starts
-from .structure import Structure, structure_of
+from .structure import structure_of
 from .sweep import default_time_constants, drives_every_coordinate, usable_block_rows
 
 CHUNK_SAMPLES = 2**15
@@ -162,13 +162,11 @@ def _choices(records, drive, time_constants, block_rows, weight) -> tuple[np.nda
 
 
 @functools.cache
-def _program(
-    devices: tuple, rows: tuple[int, ...], weight, form: Structure, every_coordinate: bool, gaps: bool, static
-):
+def _program(devices: tuple, rows: tuple[int, ...], weight, every_coordinate: bool, gaps: bool, static):
     """The compiled start and refinement of a chunk, its records spread over the devices."""
 
     def one(arrays):
-        one, setting, poles = eqx.combine(arrays, static)
+        one, setting, form, poles = eqx.combine(arrays, static)
         start, choice = start_one(one, setting, poles, rows, weight, every_coordinate=every_coordinate)
         return refine_one(start, one, setting, form, gaps=gaps), choice
 
@@ -193,14 +191,15 @@ def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> 
         kept[: record.samples] = ~record.missing
         inside = (np.arange(padded) < record.samples).astype(float)
         poles = np.asarray(pole(taus, record.sampling_time))
-        return One(u, y, kept, inside), _setting(record, scalings[k], drive), poles
+        scaled = form.scaled(np.asarray(scalings[k].coordinates))
+        return One(u, y, kept, inside), _setting(record, scalings[k], drive), scaled, poles
 
     def chunk(first):
         picked = usable[first : first + size]
         rows_of = [eqx.partition(arrays(k), eqx.is_array) for k in picked]
         dynamic, static = [d for d, _ in rows_of], rows_of[0][1]
         dynamic += dynamic[-1:] * (size - len(picked))
-        program, sharding = _program(tuple(devices), rows, weight, form, every_coordinate, gaps, static)
+        program, sharding = _program(tuple(devices), rows, weight, every_coordinate, gaps, static)
         stacked = jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *dynamic)
         return program(jax.device_put(stacked, sharding))
 

@@ -4,6 +4,8 @@ One compiled function of the record serves every host-side optimiser: it returns
 sensitivities for every pair of outputs, from which the normal equations follow for any weights.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,6 +24,9 @@ from .structure import Structure
 
 FLOOR = 1e-12
 """Smallest residual, relative to the outputs, that the weights resolve: below it is rounding."""
+
+LARGEST = 1e100
+"""Inner product from which a trial counts as overflowing: its square is still a number."""
 
 SHRINKAGE = 1e-3
 """Taken off the correlation of two outputs' errors: what a wrong model leaves may be collinear, noise is not."""
@@ -47,8 +52,16 @@ class Products(eqx.Module):
     table: Float[Array, "outputs outputs columns columns"]
     counts: Float[Array, " outputs"]
 
+    @property
+    def finite(self) -> bool:
+        """Whether nothing overflowed, nor would if multiplied; in traced code, where nobody can ask, taken to be so."""
+        return not isinstance(self.table, np.ndarray) or bool(np.max(np.abs(self.table)) <= LARGEST)
+
     def normal(self, whitening: Float[Array, "outputs outputs"]) -> Normal:
-        """Normal equations with the errors whitened."""
+        """Normal equations with the errors whitened; on the host infinitely costly where anything overflowed."""
+        if not self.finite or not np.all(np.isfinite(whitening) if isinstance(whitening, np.ndarray) else True):
+            columns = self.table.shape[-1] - 1
+            return Normal(np.array(np.inf), np.full(columns, np.nan), np.full((columns, columns), np.nan))
         weights = whitening.T @ whitening
         table = (weights[:, :, None, None] * self.table).sum((0, 1))
         return Normal(table[-1, -1], table[:-1, -1], table[:-1, :-1])
@@ -57,6 +70,8 @@ class Products(eqx.Module):
         """Mean products of the errors; `correlated`: also of different outputs."""
         table = self.table[:, :, -1, -1] / (self.counts[:, None] * self.counts[None, :]) ** 0.5
         eye = np.eye(len(self.counts))
+        if not self.finite:
+            return np.full_like(table, np.nan)
         return (table if correlated else table * eye) * (1 - SHRINKAGE * (1 - eye)) + FLOOR**2 * eye
 
     @property
@@ -112,12 +127,33 @@ class Iterate(eqx.Module):
     whitening: Float[Array, "outputs outputs"]
 
 
+class Prior(eqx.Module):
+    """What is assumed of entries that an experiment may leave open: their sizes, and how sure that is.
+
+    `centre`: of the joined block vectors; `precision`: 1/variance of every entry, 0 where nothing is assumed. In units
+    of whitened errors: one unit is as much evidence as one sample that is off by one standard deviation.
+    """
+
+    centre: Float[Array, " entries"]
+    precision: Float[Array, " entries"]
+
+    def added(self, normal: Normal, vector: Float[Array, " entries"]) -> Normal:
+        """Normal equations with the prior's share, at these entries."""
+        off, n = vector - self.centre, len(self.centre)
+        gradient, information = np.array(normal.gradient), np.array(normal.information)
+        gradient[:n] += self.precision * off
+        information[np.arange(n), np.arange(n)] += self.precision
+        return Normal(normal.cost + self.precision @ off**2, gradient, information)
+
+
 class Criterion(eqx.Module):
-    """What the refinement makes small: prediction errors of the records, under what is free in M, D, K."""
+    """What the refinement makes small: prediction errors of the records, under what is free in M, D, K, and the
+    distance from a `prior` where there is one."""
 
     batch: Batch
     setting: Setting
     structure: Structure
+    prior: Prior | None = None
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -156,6 +192,9 @@ class Criterion(eqx.Module):
 
     def products(self, blocks: list[Array], nuisance: Nuisance) -> Products:
         """Inner products of errors and sensitivities; in the innovations form the errors are white already."""
+        if self.prior is not None:
+            # No part of the errors: with it or without, one compiled program.
+            return dataclasses.replace(self, prior=None).products(blocks, nuisance)
         if nuisance.noise is None and len(self.batch.y) == 1:
             return _of_one_record(blocks, nuisance, self)
         plain = Iterate(blocks, nuisance, np.eye(self.batch.y.shape[2]))
@@ -164,6 +203,11 @@ class Criterion(eqx.Module):
     def evaluate(self, blocks: list[Array], nuisance: Nuisance) -> Products:
         """`products`, fetched to the host."""
         return jax.device_get(self.products(blocks, nuisance))
+
+    def normal(self, products: Products, whitening: Float[Array, "outputs outputs"], blocks: list[Array]) -> Normal:
+        """Normal equations on the host at these blocks, the prior's share included."""
+        plain = products.normal(whitening)
+        return plain if self.prior is None else self.prior.added(plain, join(blocks))
 
 
 @stored(level=ONCE)

@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float
 
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.stored_programs import stored
-from .cholesky import NEAR, NEAR_EDGE, at_start, cholesky_steps, pack, unpack
-from .conic import conic_steps
-from .normal import FLOOR, Criterion, Iterate, Normal
+from .cholesky import NEAR, NEAR_EDGE, at_start, cholesky_steps, likelihood_cost, pack, start_cost, unpack
+from .conic import ConicEnd, conic_steps
+from .normal import FLOOR, Criterion, Iterate, Normal, Prior, Products
 from .prediction import Batch, Nuisance, Setting
 from .structure import Structure
 
@@ -29,8 +29,25 @@ a direction that starts hundreds of times too soft may never find its frequency 
 _BOLDNESS = 30.0
 """The optimiser's first damping is 1: with Jacobian columns of this norm it is a thousandth of the curvature."""
 
+SLACK = 1.0
+"""Rise of −2 ln L over that of the start up to which a refinement counts as no worse: a prior, and rounding."""
+
 INITIAL_FORCE_NOISE = 0.05
 """Start of the force noise relative to the output noise in the innovations form, both scaled."""
+
+
+class StructurePrice(eqx.Module):
+    """What a structure costs beside free M, D, K: `parameters` that it saves, and by how much −2 ln L rises."""
+
+    parameters: int
+    rise: float
+
+    def delta_bic(self, count: float) -> float:
+        """BIC with the structure minus without; negative where the structure is the better model.
+
+        **Arguments:** `count` of output samples.
+        """
+        return self.rise - self.parameters * float(np.log(max(count, 2.0)))
 
 
 class Refinement(eqx.Module):
@@ -39,7 +56,8 @@ class Refinement(eqx.Module):
     `mass`, `damping`, `stiffness`; `blocks`: the semidefinite blocks they are assembled from; `nuisance`;
     `whitening` of the output noise; `normal`: Gauss-Newton information in blocks and nuisance; `variance`: mean
     square of the whitened residual; `steps`: of the optimiser and of the conic iteration; `decrement`: what
-    one more step would take off the sum of squares, in units of the noise variance; `result`.
+    one more step would take off the sum of squares, in units of the noise variance; `cost`: minus twice the logarithm
+    of the likelihood, but for a constant; `result`; `prior` that `normal` holds; `price` of the structure.
     """
 
     mass: Float[Array, "dofs dofs"]
@@ -52,7 +70,10 @@ class Refinement(eqx.Module):
     variance: Float[Array, ""]
     steps: tuple[int, int]
     decrement: float
+    cost: float
     result: RESULTS
+    prior: Prior | None = None
+    price: StructurePrice | None = None
 
 
 @stored
@@ -92,10 +113,10 @@ def levenberg_marquardt(
     return unpack(vectors, scales, logarithmic, criterion.sizes), found, solution.stats["num_steps"]
 
 
-def on_edge(blocks: list[Array]) -> bool:
-    """Whether any block is closer to singular than the first lift."""
-    values = [np.linalg.eigvalsh(np.asarray(block)) for block in blocks]
-    return any(value[0] < LIFTS[0] * value[-1] for value in values)
+def differ(blocks: list[Array], others: list[Array]) -> bool:
+    """Whether lifting moved any block off the edge of the cone, rounding apart."""
+    pairs = [(np.asarray(a), np.asarray(b)) for a, b in zip(blocks, others)]
+    return any(np.max(np.abs(a - b)) > 1e-9 * np.max(np.abs(b)) for a, b in pairs)
 
 
 def begin_nuisance(batch: Batch, setting: Setting, *, offset: bool, innovations: bool) -> Nuisance:
@@ -121,15 +142,19 @@ def refine(
     innovations: bool = False,
     fixed: Bool[np.ndarray, " entries"] | None = None,
     deviation: Float[Array, " outputs"] | None = None,
+    prior: Prior | None = None,
+    near: bool = False,
 ) -> Refinement:
     """Refine M, D, K by prediction error, maximum likelihood over the outputs.
 
     **Arguments:** `start`: scaled M, D, K; `batch`; `setting`; `structure`: what is free, default all; `offset`:
     estimate an output offset of every record; `innovations`: noise enters at the forces too; `fixed`: entries of the
     stacked block vectors that keep their start value; `deviation`: mean square residual of the start per output, to
-    weigh with at first.
+    weigh with at first; `prior`: what is assumed of entries that the experiment may leave open, default nothing;
+    `near`: the start is next to its optimum, so that the steps over the cone begin there at once.
 
-    **Returns:** a `Refinement`.
+    **Returns:** a `Refinement`, never less likely than its start: where the steps end worse, the start itself with its
+    best first states and offsets, and the result `RESULTS.not_improved`.
 
     **Raises:** `ComputationError` when no finite step was possible.
 
@@ -138,7 +163,7 @@ def refine(
     structure = Structure() if structure is None else structure
     start = tuple(np.asarray(X) for X in start)
     outputs = batch.y.shape[2]
-    criterion = Criterion(batch, setting, structure)
+    criterion = Criterion(batch, setting, structure, prior)
     nuisance = begin_nuisance(batch, setting, offset=offset, innovations=False)
     deviation = np.ones(outputs) if deviation is None else np.asarray(deviation)
     if not np.all(np.isfinite(deviation)):
@@ -148,13 +173,19 @@ def refine(
     def begun(lift):
         return Iterate(structure.blocks(*start, lift=lift), nuisance, whitening)
 
-    here, taken, first = begun(0.0), 0, None
-    if fixed is None or not np.any(fixed):
-        edge = on_edge(here.blocks)
+    begin = here = begun(0.0)
+    at_begin = first = criterion.evaluate(here.blocks, nuisance)
+    taken = 0
+    if near and not innovations:
+        start_end = at_start(here, criterion, first)
+        here, first = start_end.at, start_end.products
+    elif fixed is None or not np.any(fixed):
+        edge = differ(here.blocks, begun(LIFTS[0]).blocks)
         # At the edge the start itself may be better than what Cholesky factors make of it.
-        ends = [at_start(here, criterion)] if edge else []
+        ends = [at_start(here, criterion, first)] if edge else []
         for lift in LIFTS if edge else LIFTS[:1]:
-            ends.append(cholesky_steps(begun(lift), criterion, near=NEAR_EDGE if edge else NEAR))
+            known = None if edge else first
+            ends.append(cholesky_steps(begun(lift), criterion, first=known, near=NEAR_EDGE if edge else NEAR))
         taken = sum(end.steps for end in ends)
         best = min(ends, key=lambda end: end.cost)
         here, first = best.at, best.products
@@ -166,6 +197,12 @@ def refine(
             here, taken, first = Iterate(blocks, nuisance, here.whitening), taken + int(steps), None
 
     end = conic_steps(here, criterion, first=first, fixed=fixed)
+    result = RESULTS.successful if end.converged else RESULTS.refinement_diverged
+    if not innovations:
+        # With noise at the forces a free run is no measure of the likelihood.
+        reached, at_first = likelihood_cost(end.products, criterion), start_cost(begin, criterion, at_begin)
+        if not reached <= at_first + SLACK:
+            end, result = _kept(begin, at_begin, criterion, end.steps), RESULTS.not_improved
     if not np.isfinite(end.normal.cost):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement")
     M, D, K = criterion.matrices(end.at.blocks)
@@ -181,5 +218,14 @@ def refine(
         end.normal.cost / max(count, 1.0),
         (taken, end.steps),
         end.decrement,
-        RESULTS.successful if end.converged else RESULTS.refinement_diverged,
+        likelihood_cost(end.products, criterion),
+        result,
+        prior,
     )
+
+
+def _kept(begin: Iterate, first: Products, criterion: Criterion, steps: int) -> ConicEnd:
+    """The start as the end of a refinement that did not improve it."""
+    start = at_start(begin, criterion, first)
+    normal = criterion.normal(start.products, start.at.whitening, start.at.blocks)
+    return ConicEnd(start.at, start.products, normal, steps, np.inf, False)

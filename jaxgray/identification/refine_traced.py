@@ -9,11 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..numerics.positive import PositiveLeastSquares, ProjectedGradientSolver
-from .conic import MASS_FLOOR
 from .normal import Criterion, join, part
 from .prediction import Batch, Nuisance, Setting
 from .refine import begin_nuisance
-from .structure import Structure
+from .structure import MASS_FLOOR, Structure
 
 RIDGE = 1e-12
 """Relative damping that keeps directions without information where they are."""

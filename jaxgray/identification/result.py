@@ -15,6 +15,7 @@ from .normal import Criterion, Iterate, sensitivities, without_noise
 from .physical import Scaling
 from .prediction import Batch, Setting
 from .preparation import Signals, prepare
+from .prior import left_open
 from .refine import Refinement
 from .start import Start, model_run
 from .structure import Structure
@@ -28,6 +29,9 @@ from .validation import (
     noise_floor,
     residual_test,
 )
+
+CONTRADICTED = 10.0
+"""ΔBIC of a structure over free M, D, K from which the record contradicts it."""
 
 POOR_FIT = 80.0
 """Fit [%] below which the result says that the model simulates poorly."""
@@ -90,6 +94,15 @@ class Identification(Shown):
         return None if self.uncertainty is None else self.uncertainty.standard_errors()
 
     @property
+    def structure_price(self) -> tuple[int, float] | None:
+        """Parameters that the structure saves, and its BIC minus that of free M, D, K: negative where it is the better
+        model. None where nothing but physical matrices was asked for."""
+        if self.refinement is None or self.refinement.price is None:
+            return None
+        price = self.refinement.price
+        return price.parameters, price.delta_bic(sum(float(np.isfinite(r.y).sum()) for r in self.records))
+
+    @property
     def fit_percent(self) -> dict[str, dict[str, float]]:
         """Fit per output on estimation and, where there are such records, validation data."""
         return self._per_output("fit_percent")
@@ -129,6 +142,9 @@ class Identification(Shown):
                 lines.append(f"  {name if k == 0 else '':10s}{values}")
         for kind, fits in self.fit_percent.items():
             lines.append(f"  fit on {kind}: " + ", ".join(f"{n} {v:.2f} %" for n, v in fits.items()))
+        if self.structure_price is not None:
+            saved, delta = self.structure_price
+            lines.append(f"  structure: {saved} parameters fewer than free M, D, K, ΔBIC {delta:+.1f}")
         lines += [f"  warning: {text}" for text in self.warnings]
         return "\n".join(lines)
 
@@ -180,6 +196,10 @@ def assess(
             direct=setting.hold == "linear" or bool(np.any(np.asarray(system.D) != 0)),
         )
         parameters = refinement.normal.information.shape[0]
+        if refinement.prior is not None:
+            warnings += _open_masses(left_open(refinement.normal.information, refinement.prior, np.asarray(held, bool)))
+        if refinement.price is not None:
+            warnings += _dear(refinement.price.delta_bic(float(np.sum(np.asarray(batch.kept)))))
         if refinement.nuisance.noise is not None:
             values = np.asarray(refinement.nuisance.noise)
             noise = {
@@ -239,7 +259,12 @@ def _score_covariance(J, estimation, scaling, refinement: Refinement, batch: Bat
 
 def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: ResidualTest, model) -> list[str]:
     result = []
-    if refinement.result != RESULTS.successful:
+    if refinement.result == RESULTS.not_improved:
+        result.append(
+            "The refinement ended no better than its start, which is kept: error bars are those of the start. Try "
+            "another time constant, a longer record, or fix entries that you know."
+        )
+    elif refinement.result != RESULTS.successful:
         result.append(
             f"The refinement stopped after {refinement.steps[0]} + {refinement.steps[1]} steps before it had "
             "settled: the record may hardly determine some entries. Excite nearer to the natural frequencies, "
@@ -274,6 +299,22 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
     if tests.feedback:
         result.append("The residual is correlated with future inputs: the record may come from a closed loop.")
     return result
+
+
+def _open_masses(count: int) -> list[str]:
+    if not count:
+        return []
+    return [
+        f"Base excitation leaves {count} mass ratio{'s' * (count > 1)} open where damping is nearly proportional: "
+        "masses were kept near equal ones. M⁻¹D, M⁻¹K and the modes are determined, single entries are not; give "
+        "masses with fix, or a structure such as diagonal-mass."
+    ]
+
+
+def _dear(delta_bic: float) -> list[str]:
+    if not delta_bic > CONTRADICTED:
+        return []
+    return [f"The record contradicts the structure asked for (ΔBIC {delta_bic:.3g}); free M, D, K fit better."]
 
 
 def _fit_warnings(estimation, model) -> list[str]:

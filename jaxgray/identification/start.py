@@ -2,7 +2,9 @@
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import numpy as np
@@ -14,6 +16,7 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver
 from ..numerics.stored_programs import ONCE, stored
 from ..records import Record
+from .base_start import MassKnowledge, modes_under_base
 from .filter_bank import pole
 from .input_matrix import InputFit, fit_to_record
 from .physical import Scaling, from_inverse_mass, input_matrix, jointly
@@ -80,7 +83,8 @@ class StartOptions:
 
     `time_constants` [s] and `block_rows` to try; `weight`; `map`; `input_matrix_from`: "record" (regression on
     simulated responses), "factor" (the paper's step 6), or "best" (both, judged by free run); `known_mass`: scaled,
-    or None; `thorough`: whether no refinement follows, so that the best of many cells is looked for.
+    or None; `thorough`: whether no refinement follows, so that the best of many cells is looked for; `mass`: what is
+    known of it under base excitation, None for forces.
     """
 
     time_constants: Float[np.ndarray, " time_constants"]
@@ -90,6 +94,7 @@ class StartOptions:
     input_matrix_from: str
     known_mass: Array | None
     thorough: bool = False
+    mass: MassKnowledge | None = None
 
 
 @stored
@@ -182,6 +187,7 @@ def subspace_starts(
         measured=setting.measured,
         hold=setting.hold,
         householder=householder,
+        base=None if isinstance(setting.drive, Force) else setting.drive,
     )
     table = score(found.deviation)
     if not np.any(np.isfinite(table)):
@@ -193,13 +199,14 @@ def subspace_starts(
     alone = options.known_mass is None and drives_every_coordinate(setting.drive)
     ways = (False, True) if alone else (False,)
     small = len(setting.measured) * longest.u.shape[1] <= SMALL
-    for flat in order[: THOROUGH_CELLS if options.thorough and small else MOST_CELLS]:
+    many = options.thorough and small and options.mass is None
+    for flat in order[: THOROUGH_CELLS if many else MOST_CELLS]:
         index = np.unravel_index(flat, table.shape)
         chosen = jax.tree_util.tree_map(lambda leaf, index=index: np.asarray(leaf[index]), found)
         best = None
-        for fit, averaged in itertools.product(_input_fits(chosen, signals, setting, options.input_matrix_from), ways):
+        for physical in _physical_ways(chosen, signals, setting, options, ways):
             try:
-                matrices = physical_model(chosen.realization, fit, setting, options.known_mass, averaged)
+                matrices = physical()
             except ComputationError as error:
                 failure = error
                 continue
@@ -222,6 +229,18 @@ def subspace_starts(
     if not starts:
         raise failure or ComputationError(RESULTS.unstable_start, stage="subspace start")
     return sorted(starts, key=lambda start: -start.score)
+
+
+def _physical_ways(chosen, signals: list[Signals], setting: Setting, options: StartOptions, ways) -> list[Callable]:
+    """Ways from a cell to M, D, K; each raises `ComputationError` where it finds none."""
+    if options.mass is not None:
+        realization = jax.device_get(chosen.realization)
+
+        by_modes = partial(modes_under_base, realization, chosen.deviation, signals, setting, options.mass)
+        return [by_modes, partial(physical_model, realization, chosen.fit, setting, options.known_mass)]
+    fits = _input_fits(chosen, signals, setting, options.input_matrix_from)
+    pairs = itertools.product(fits, ways)
+    return [partial(physical_model, chosen.realization, fit, setting, options.known_mass, way) for fit, way in pairs]
 
 
 def _input_fits(chosen, signals: list[Signals], setting: Setting, source: str) -> list[InputFit]:

@@ -7,7 +7,6 @@ proportional damping two numbers. Positive blocks make positive matrices, so tha
 import abc
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -16,6 +15,9 @@ from ..numerics.namespace import namespace
 
 SLOWEST = 1e-3
 """Rate [rad/sample] that stands for a matrix that is zero: a start needs a size to move from."""
+
+MASS_FLOOR = 1e-9
+"""Smallest eigenvalue of a mass block, relative to its mean one: the model needs an inverse."""
 
 LIFT = 1e-3
 """Smallest eigenvalue of a start, relative to its largest: Cholesky factors do not move off the edge."""
@@ -36,12 +38,19 @@ class AbstractAssembly(eqx.Module):
     def blocks(self, matrix: Array, mass: Array | None, stiffness: Array | None) -> list[Array]:
         """Blocks nearest to a given matrix, not yet lifted off the edge."""
 
+    @abc.abstractmethod
+    def scaled(self, coordinates: Float[Array, " dofs"]) -> "AbstractAssembly":
+        """The same where coordinate k is counted in these units and the equation of motion multiplied by them."""
+
 
 class Full(AbstractAssembly):
     """Any symmetric positive semidefinite matrix."""
 
     def sizes(self, dofs):
         return (dofs,)
+
+    def scaled(self, coordinates):
+        return self
 
     def matrix(self, blocks, mass, stiffness):
         return blocks[0]
@@ -56,27 +65,48 @@ class Diagonal(AbstractAssembly):
     def sizes(self, dofs):
         return (1,) * dofs
 
+    def scaled(self, coordinates):
+        return self
+
     def matrix(self, blocks, mass, stiffness):
-        return jnp.diag(jnp.concatenate([block[0] for block in blocks]))
+        xp = namespace(*blocks)
+        return xp.diag(xp.concatenate([block[0] for block in blocks]))
 
     def blocks(self, matrix, mass, stiffness):
         return [matrix[k, k].reshape(1, 1) for k in range(matrix.shape[0])]
 
 
 class Chain(AbstractAssembly):
-    """Springs from every coordinate to ground and between neighbours, each ≥ 0."""
+    """Springs from every coordinate to ground and between neighbours, each ≥ 0.
+
+    `coordinates`: units in which the coordinates are counted, None where all are the same: in other units a spring
+    between two neighbours pulls at them unequally.
+    """
+
+    coordinates: Float[Array, " dofs"] | None = None
 
     def sizes(self, dofs):
         return (1,) * (2 * dofs - 1)
 
     def matrix(self, blocks, mass, stiffness):
         dofs = (len(blocks) + 1) // 2
-        springs = jnp.stack([block[0, 0] for block in blocks])
-        arms = np.concatenate([np.eye(dofs), np.eye(dofs)[:-1] - np.eye(dofs)[1:]])
-        return jnp.einsum("s,si,sj->ij", springs, arms, arms)
+        xp = namespace(*blocks, self.coordinates)
+        springs = xp.stack([block[0, 0] for block in blocks])
+        arms = np.concatenate([np.eye(dofs), np.eye(dofs)[:-1] - np.eye(dofs)[1:]]) * self._units(dofs)
+        return xp.einsum("s,si,sj->ij", springs, arms, arms)
+
+    def _units(self, dofs):
+        """The coordinates' units about one, so that springs keep the size of the matrix's entries."""
+        xp = namespace(self.coordinates)
+        return np.ones(dofs) if self.coordinates is None else self.coordinates / xp.max(self.coordinates)
+
+    def scaled(self, coordinates):
+        return Chain(coordinates if self.coordinates is None else self.coordinates * coordinates)
 
     def blocks(self, matrix, mass, stiffness):
         dofs = matrix.shape[0]
+        units = self._units(dofs)
+        matrix = matrix / units[:, None] / units[None, :]
         between = [-(matrix[k, k + 1] + matrix[k + 1, k]) / 2 for k in range(dofs - 1)]
         ground = [((matrix[k] + matrix[:, k]) / 2).sum() for k in range(dofs)]
         return [value.reshape(1, 1) for value in ground + between]
@@ -87,6 +117,9 @@ class Proportional(AbstractAssembly):
 
     def sizes(self, dofs):
         return (1, 1)
+
+    def scaled(self, coordinates):
+        return self
 
     def matrix(self, blocks, mass, stiffness):
         return blocks[0][0, 0] * mass + blocks[1][0, 0] * stiffness
@@ -105,8 +138,11 @@ class Absent(AbstractAssembly):
     def sizes(self, dofs):
         return ()
 
+    def scaled(self, coordinates):
+        return self
+
     def matrix(self, blocks, mass, stiffness):
-        return jnp.zeros_like(mass)
+        return namespace(mass).zeros_like(mass)
 
     def blocks(self, matrix, mass, stiffness):
         return []
@@ -123,9 +159,17 @@ class Structure(eqx.Module):
         """Rows of all blocks, of mass first, then damping, then stiffness."""
         return self.mass.sizes(dofs) + self.damping.sizes(dofs) + self.stiffness.sizes(dofs)
 
+    def scaled(self, coordinates: Float[Array, " dofs"]) -> "Structure":
+        """The same where coordinate k is counted in these units and the equation of motion multiplied by them."""
+        return Structure(*(each.scaled(coordinates) for each in (self.mass, self.damping, self.stiffness)))
+
     def owners(self, dofs: int) -> tuple[str, ...]:
         """The matrix to which each block belongs."""
         return tuple(name for name in ("mass", "damping", "stiffness") for _ in getattr(self, name).sizes(dofs))
+
+    def floors(self, dofs: int) -> tuple[float, ...]:
+        """Least eigenvalue of each block, in units of its size."""
+        return tuple(MASS_FLOOR if owner == "mass" else 0.0 for owner in self.owners(dofs))
 
     def logarithmic(self, dofs: int) -> tuple[bool, ...]:
         """Whether each block's factor has a logarithmic diagonal: the mass, which must not become singular."""

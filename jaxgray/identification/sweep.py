@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..mechanics.drives import AbstractDrive, Force
-from ..mechanics.statespace import StateSpace
+from ..mechanics.statespace import StateSpace, sampled
 from ..numerics.namespace import namespace
 from ..numerics.stored_programs import ONCE, stored
 from ..records import Record
@@ -126,10 +126,12 @@ def realized(
     measured: tuple[str, ...],
     hold: str,
     householder: bool,
+    base: AbstractDrive | None = None,
 ) -> tuple[Candidate, StateSpace]:
     """Realisation and input matrix of one (τ, i), in traced code.
 
-    **Arguments:** `factor` of the record; `a`: filter pole; `block_rows`: i ≤ `padded`; the rest static.
+    **Arguments:** `factor` of the record; `a`: filter pole; `block_rows`: i ≤ `padded`; `base`: the scaled drive where
+    it is the motion of the base, whose response follows from M⁻¹D and M⁻¹K alone; the rest static.
 
     **Returns:** a `Candidate` whose free run is still to be made, and the system to make it with.
     """
@@ -141,6 +143,9 @@ def realized(
     B2 = input_matrix(fit).reshape(len(measured), inputs)
     Ad, Bd, C, Dd = drives
     found = Candidate(realization, fit, jnp.full(len(measured), jnp.nan))
+    if base is not None:
+        continuous = base.state_space(jnp.eye(len(measured)), -realization.A22, -realization.A21, measured, 1.0)
+        return found, sampled(continuous, 1.0, hold)
     return found, StateSpace(Ad, Bd @ B2, C, Dd @ B2)
 
 

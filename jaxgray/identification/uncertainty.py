@@ -12,6 +12,7 @@ from ..numerics.stored_programs import ONCE, stored
 from .conic import pseudo_inverse
 from .normal import join, part
 from .physical import Scaling
+from .prior import inverse_with
 from .refine import Refinement
 from .structure import Structure
 
@@ -88,9 +89,10 @@ def uncertainty(
     free = np.ones(len(H), bool)
     if fixed is not None:
         free[:entries] &= ~np.asarray(fixed, bool)
+    inverse = None if refinement.prior is None else inverse_with(H, refinement.prior, free)
     H = H[np.ix_(free, free)]
     diagonal = np.diag(H)
-    inverse = pseudo_inverse(H)
+    inverse = pseudo_inverse(H) if inverse is None else inverse
     covariance = inverse * float(refinement.variance)
     if meat is not None:
         covariance = inverse @ np.asarray(meat)[np.ix_(free, free)] @ inverse

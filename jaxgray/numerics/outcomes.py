@@ -48,6 +48,10 @@ class RESULTS(eqx.Enumeration):
         "The refinement did not converge from any start. Try without refinement, another time constant, or "
         "fix entries that you know."
     )
+    not_improved = (
+        "The refinement ended no better than its start, which is kept. Try another time constant, a longer record, or "
+        "fix entries that you know."
+    )
     no_inertia = (
         "The record shows no inertia: the motion follows the force quasi-statically, so that mass and damping "
         "cannot be told. Excite nearer to the natural frequencies."

@@ -8,6 +8,7 @@ wherever anything here fails, all is as with `equinox.filter_jit`.
 
 import functools
 import hashlib
+import importlib.metadata
 import io
 import os
 import pathlib
@@ -31,6 +32,9 @@ SWITCH = "JAXGRAY_PROGRAMS"
 
 OURS = frozenset({"jaxgray", "jax", "jaxlib", "equinox", "numpy", "builtins", "copyreg", "collections", "functools"})
 """Packages whose code a key vouches for, by their release or by the sources; a user's own class may change unseen."""
+
+RELEASES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "jaxopt", "numpy", "scipy")
+"""Packages whose code or constants a program may contain."""
 
 ONCE, OFTEN = 0, 3
 """Levels of optimisation. Without any, a program compiles in half of the time or less."""
@@ -78,7 +82,7 @@ def _surroundings() -> bytes:
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     device = jax.local_devices()[0]
-    versions = [jax.__version__, jax.lib.__version__, eqx.__version__, device.client.platform_version]
+    versions = [(name, importlib.metadata.version(name)) for name in RELEASES] + [device.client.platform_version]
     machine = [device.platform, device.device_kind, processor(), os.environ.get("XLA_FLAGS", "")]
     digest.update(repr(versions + machine).encode())
     return digest.digest()

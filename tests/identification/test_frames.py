@@ -1,0 +1,130 @@
+"""Frames on a moving base, structured fits: refinements end where the truth is, and never worse than they began."""
+
+import frames
+import independent as data
+import jax
+import numpy as np
+import pytest
+
+import jaxgray
+from jaxgray.identification import refine as refinement
+from jaxgray.identification.normal import Iterate, part
+from jaxgray.identification.preparation import prepare
+from jaxgray.identification.start import model_run
+from jaxgray.mechanics.modal_uncertainty import modal_uncertainty
+from jaxgray.numerics.outcomes import RESULTS
+
+
+def record_of(u, y):
+    units = ["m/s^2"] if u.shape[1] == 1 else ["N"] * u.shape[1]
+    return jaxgray.Record(
+        u,
+        y,
+        frames.THREE_TIME,
+        hold="linear",
+        measured="acceleration",
+        input_units=units,
+        output_units=["m/s^2"] * y.shape[1],
+    )
+
+
+def truth_fit(u, y):
+    clean = frames.shaken(frames.THREE.rates, u, frames.THREE_TIME)
+    clean = clean if u.shape[1] == 1 else frames.forced(frames.THREE, u, frames.THREE_TIME)
+    return 100 * (1 - np.linalg.norm(y - clean, axis=0) / np.linalg.norm(y - y.mean(axis=0), axis=0))
+
+
+@pytest.mark.parametrize("structure", [None, ("diagonal-mass", "chain")])
+@pytest.mark.parametrize("base", [True, False])
+def test_a_shear_frame_is_fitted_down_to_its_noise(base, structure):
+    u, y = frames.three_storeys(31, base=base, samples=4000)
+    options = {"excitation": "base-acceleration"} if base else {}
+    found = jaxgray.identify(record_of(u, y), structure=structure, **options)
+    fits = np.array(list(found.fit_percent["estimation"].values()))
+    if base:
+        assert np.all(fits > truth_fit(u, y) - 0.02)
+    else:
+        clean = frames.forced(frames.THREE, u, frames.THREE_TIME)
+        assert np.all(np.linalg.norm(y - clean, axis=0) > 0.999 * np.array(found.estimation[0].rmse) * len(y) ** 0.5)
+    errors = modal_uncertainty(found.model, found.covariance).natural_frequency_hz
+    off = np.asarray(found.model.modes().natural_frequency_hz) - frames.THREE.frequencies_hz
+    assert np.all(np.abs(off) < 4 * errors) and np.all(errors < 0.01)
+    if structure is not None:
+        saved, price = found.structure_price
+        assert saved == 4 and price < 0
+        scale = frames.THREE.mass[0, 0] if base else 1.0
+        off = np.abs(found.stiffness - frames.THREE.stiffness / scale)
+        assert np.all(off <= 4 * found.standard_errors["stiffness"] + 1e-9 * off.max())
+
+
+def test_masses_that_a_moving_base_leaves_open_are_said_to_be():
+    u, y = frames.three_storeys(32, samples=4000)
+    found = jaxgray.identify(record_of(u, y), excitation="base-acceleration")
+    errors = found.standard_errors["mass"]
+    # Proportional damping would leave two ratios of modal masses open; this one is nearly so.
+    assert np.all(np.abs(found.mass - frames.THREE.mass / 120.0) <= 4 * errors)
+    assert np.max(errors) > 0.01
+    twin = frames.Frame(frames.THREE.masses, frames.THREE.storeys, 7e-4 * frames.THREE.storeys)
+    clean = frames.shaken(twin.rates, u, frames.THREE_TIME)
+    noise = frames.THREE_NOISE * np.random.default_rng(3).standard_normal(clean.shape)
+    open_masses = jaxgray.identify(record_of(u, clean + noise), excitation="base-acceleration")
+    assert any("mass ratio" in text for text in open_masses.warnings)
+    np.testing.assert_allclose(open_masses.model.modes().natural_frequency_hz, twin.frequencies_hz, rtol=1e-3)
+
+
+def test_a_record_contradicts_a_structure_that_the_machine_does_not_have():
+    # The first coordinate in other units than the second: no springs to the ground and between them make this K.
+    rng = np.random.default_rng(5)
+    M, D = np.diag([2.0, 1.0]), np.diag([1.0, 0.8])
+    K = np.array([[100.0, -100.0], [-100.0, 160.0]])
+    u = data.random_steps(rng, 4000, 2, 0.01)
+    y = data.simulate(M, D, K, u, 0.01)
+    y = y + 1e-4 * rng.standard_normal(y.shape)
+    y[:, 0] *= 10.0
+    record = jaxgray.Record(u, y, 0.01)
+    found = jaxgray.identify(record, structure="chain", input_map=np.diag([0.1, 1.0]))
+    free = jaxgray.identify(record, input_map=np.diag([0.1, 1.0]))
+    assert found.structure_price[1] > 10 and free.structure_price is None
+    assert any("contradicts the structure" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("astray", [0.5, 5.0])
+def test_a_refinement_that_goes_astray_returns_its_start(monkeypatch, astray):
+    u, y, _ = data.reference_record(7, samples=2000)
+    record = jaxgray.Record(u, y, data.REFERENCE_TIME)
+    real = refinement.conic_steps
+
+    def steps(start, criterion, **options):
+        end = real(start, criterion, **options)
+        blocks = [(1 + astray) * block for block in end.at.blocks[:1]] + end.at.blocks[1:]
+        products = criterion.evaluate(blocks, end.at.nuisance)
+        at = Iterate(blocks, end.at.nuisance, end.at.whitening)
+        normal = products.normal(end.at.whitening)
+        return refinement.ConicEnd(at, products, normal, end.steps, end.decrement, True)
+
+    monkeypatch.setattr(refinement, "conic_steps", steps)
+    found = jaxgray.identify(record)
+    assert found.refinement.result == RESULTS.not_improved
+    assert any("no better than its start" in text for text in found.warnings)
+    signals = prepare(record, found.scaling)
+    start = np.asarray(model_run(found.start.matrices, found.setting, signals)[1])
+    scaled = found.scaling.matrices_in(found.mass, found.damping, found.stiffness)
+    end = np.asarray(model_run(jax.device_get(scaled), found.setting, signals)[1])
+    np.testing.assert_allclose(end, start, rtol=1e-6)
+    # Error bars are those of the start, by the curvature there.
+    assert np.all(np.isfinite(found.covariance)) and np.all(np.diag(found.covariance) > 0)
+
+
+def test_blocks_of_a_scaled_chain_come_back():
+    from jaxgray.identification.structure import Chain
+
+    chain = Chain().scaled(np.array([0.2, 3.0, 1.0]))
+    springs = [np.array([[v]]) for v in (1.0, 0.0, 2.0, 0.5, 4.0)]
+    matrix = chain.matrix(springs, None, None)
+    back = chain.blocks(matrix, None, None)
+    np.testing.assert_allclose(np.ravel(back), np.ravel(springs), atol=1e-12)
+    units = np.array([0.2, 3.0, 1.0])
+    physical = matrix / np.outer(units, units)
+    plain = Chain().matrix(springs, None, None)
+    np.testing.assert_allclose(physical / physical[0, 1], plain / plain[0, 1], atol=1e-12)
+    assert part(np.ones(5), (1,) * 5)[0].shape == (1, 1)
