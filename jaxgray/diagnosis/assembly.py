@@ -6,6 +6,7 @@ import numpy as np
 from ..identification.validation import fit_of
 from ..mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term
 from ..mechanics.model import MechanicalModel
+from ..mechanics.units import composed_unit, displacement_unit
 from ..numerics.stored_programs import ONCE, stored
 from ..records import Record
 from .belief import residual_rms
@@ -31,50 +32,33 @@ from .thresholds import at_one_threshold, elements_of
 from .titles import place_of, title_of
 
 
-def unit_text(powers: tuple[int, int, int], force: str, length: str) -> str:
-    """Unit of a parameter as text, such as N/m^3; empty where a unit that it needs is not given.
-
-    Under a moving base, whose input is a length or an acceleration, forces are those on a mass of one.
-    """
-    if force and force in (length, f"{length}/s^2", f"{length}/s²", f"{length}/s2"):
-        powers = 0, powers[1] + powers[0], powers[2] - 2 * powers[0]
-    names = (force, length, "s")
-    if any(power and not name for power, name in zip(powers, names)):
-        return ""
-    over = [_power(n, p) for n, p in zip(names, powers) if p > 0]
-    under = [_power(n, -p) for n, p in zip(names, powers) if p < 0]
-    if not under:
-        return " ".join(over)
-    bottom = under[0] if len(under) == 1 else f"({' '.join(under)})"
-    return f"{' '.join(over) or '1'}/{bottom}"
-
-
-def _power(name: str, power: int) -> str:
-    base = f"({name})" if any(c in name for c in " /*") and power != 1 else name
-    return base if power == 1 else f"{base}^{power}"
-
-
-def units_at(term: Term, record: Record) -> tuple[str, str]:
-    """Units of force and length for the parameters of a term."""
+def units_at(term: Term, record: Record, per_mass: bool) -> dict:
+    """Units of force and length for the parameters of a term, and whether its forces are those on a mass of one: of a
+    law, of the displacement whatever the sensor measures; of an input or a sensor, of what it gives."""
     first = max(term.place.first, 0)
     if isinstance(term.effect, AbstractOutputEffect):
-        return record.input_units[0], record.output_units[first]
-    if isinstance(term.effect, AbstractInputEffect):
-        return record.input_units[first], record.output_units[min(first, record.outputs - 1)]
-    if term.effect.places == "input":
-        return record.input_units[first], record.output_units[min(first, record.outputs - 1)]
-    return record.input_units[min(first, record.inputs - 1)], record.output_units[first]
+        return {"force": record.input_units[0], "length": record.output_units[first]}
+    at_input = isinstance(term.effect, AbstractInputEffect) or term.effect.places == "input"
+    output = min(first, record.outputs - 1)
+    return {
+        "force": record.input_units[first if at_input else min(first, record.inputs - 1)],
+        "length": displacement_unit(record.output_units[output], record.measured[output]),
+        "per_mass": per_mass and not at_input,
+    }
 
 
-def estimates_of(term: Term, errors: dict[int, float], record: Record) -> dict[str, Estimate]:
+def estimates_of(
+    term: Term, errors: dict[int, float], record: Record, *, per_mass: bool = False
+) -> dict[str, Estimate]:
     """Parameters of a term by symbol; those of the same name as one list, elements at one threshold as one element.
 
-    **Arguments:** `term`; `errors`: standard error by position, for those that were estimated; `record`.
+    **Arguments:** `term`; `errors`: standard error by position, for those that were estimated; `record`; `per_mass`:
+    under a moving base, where forces are those on a mass of one.
     """
-    force, length = units_at(term, record)
+    units = units_at(term, record, per_mass)
     result: dict[str, Estimate] = {}
     for j, (parameter, value) in enumerate(zip(term.effect.parameters, np.asarray(term.values, float))):
-        unit = unit_text(parameter.unit, force, length)
+        unit = composed_unit(parameter.unit, **units)
         if parameter.choices:
             result[parameter.name] = Estimate(parameter.choices[int(round(float(value)))], None, "")
             continue
@@ -144,8 +128,10 @@ def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, 
 
 
 def _member(bench: Bench, fit: Refit, index: int, record: Record, difference: float) -> Member:
-    term, errors = fit.candidate.terms[index], term_errors(fit, bench.simulator.setup, index)
-    parameters = estimates_of(term, errors | moment_errors(bench, fit, index, errors), record)
+    setup = bench.simulator.setup
+    term, errors = fit.candidate.terms[index], term_errors(fit, setup, index)
+    errors = errors | moment_errors(bench, fit, index, errors)
+    parameters = estimates_of(term, errors, record, per_mass=setup.per_mass)
     return Member(term.effect.id, term.place.name, float(difference), parameters)
 
 
@@ -232,7 +218,7 @@ def not_found_of(screening: Screening, bench: Bench, record: Record, taken: froz
         amplitudes = [j for j, p in enumerate(shape.effect.parameters) if p.amplitude]
         values[amplitudes] = np.abs(values[amplitudes]) * score.smallest
         term = Term(shape.effect, shape.place, values)
-        smallest = estimates_of(term, {}, record)
+        smallest = estimates_of(term, {}, record, per_mass=bench.simulator.setup.per_mass)
         names = [shape.effect.parameters[j].name for j in amplitudes] or list(smallest)
         result.append(NotFound(effect, place, {name: smallest[name] for name in names}))
     return tuple(result)

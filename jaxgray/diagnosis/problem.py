@@ -11,7 +11,7 @@ from ..identification.compression import padded_samples
 from ..identification.normal import join, part
 from ..identification.physical import Scaling
 from ..identification.structure import Structure
-from ..mechanics.drives import AbstractDrive
+from ..mechanics.drives import AbstractDrive, Force
 from ..mechanics.effects.base import Term
 from ..records import Record
 
@@ -95,6 +95,11 @@ class Setup:
     def dofs(self) -> int:
         """Coordinates that are measured."""
         return len(self.measured)
+
+    @property
+    def per_mass(self) -> bool:
+        """Whether forces are those on a mass of one: a moving base leaves the scale of masses open."""
+        return not isinstance(self.drive, Force)
 
     @property
     def sizes(self) -> tuple[int, ...]:

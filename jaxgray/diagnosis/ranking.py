@@ -29,7 +29,9 @@ def rejected_of(bench: Bench, growth: Growth, record: Record) -> tuple[Rejected,
         fit = growth.tried.get((one.effect, one.location))
         if fit is not None:
             index = len(fit.candidate.terms) - 1
-            estimates = estimates_of(fit.candidate.terms[index], term_errors(fit, setup, index), record)
+            estimates = estimates_of(
+                fit.candidate.terms[index], term_errors(fit, setup, index), record, per_mass=setup.per_mass
+            )
             one = dataclasses.replace(one, parameters=estimates)
         made.append(one)
     return tuple(made)

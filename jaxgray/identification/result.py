@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from ..mechanics.model import MechanicalModel
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS
+from ..numerics.text import plus_minus
 from ..records import Record
 from .normal import Criterion, Iterate, sensitivities, without_noise
 from .physical import Scaling
@@ -135,10 +136,8 @@ class Identification(Shown):
         for name in ("mass", "damping", "stiffness"):
             matrix = getattr(self, name)
             for k, row in enumerate(matrix):
-                values = "  ".join(
-                    f"{v:.5g}" + (f" ± {errors[name][k, c]:.1g}" if errors is not None else "")
-                    for c, v in enumerate(row)
-                )
+                spread = [None] * len(row) if errors is None else errors[name][k]
+                values = "  ".join(plus_minus(v, e, digits=1) for v, e in zip(row, spread))
                 lines.append(f"  {name if k == 0 else '':10s}{values}")
         for kind, fits in self.fit_percent.items():
             lines.append(f"  fit on {kind}: " + ", ".join(f"{n} {v:.2f} %" for n, v in fits.items()))

@@ -3,10 +3,10 @@
 import jax
 import numpy as np
 
-from .drives import ORDER, Force
+from .drives import Force
+from .units import as_factor, displacement_unit
 
-_RATES = {1: ("/s",), 2: ("/s^2", "/s²", "/s2")}
-_TIMES = {0: "", 1: " s", 2: " s^2"}
+_TIMES = {"mass": " s^2", "damping": " s", "stiffness": ""}
 
 
 def matrix_units(model) -> dict[str, str]:
@@ -17,23 +17,12 @@ def matrix_units(model) -> dict[str, str]:
     **Returns:** a unit for each of the three; empty where channels have none or differ, and for an excited
     base, which leaves the scale of the forces open.
     """
-    lengths = {_displacement_unit(unit, kind) for unit, kind in zip(model.output_units, model.measured)}
+    lengths = {displacement_unit(unit, kind) for unit, kind in zip(model.output_units, model.measured)}
     forces = set(model.input_units)
     if not isinstance(model.drive, Force) or len(lengths) != 1 or len(forces) != 1 or "" in lengths | forces:
         return dict.fromkeys(("mass", "damping", "stiffness"), "")
     force, length = forces.pop(), lengths.pop()
-    length = f"({length})" if set(length) & set(" */") else length
-    return {name: f"{force}{_TIMES[order]}/{length}" for name, order in (("mass", 2), ("damping", 1), ("stiffness", 0))}
-
-
-def _displacement_unit(unit: str, kind: str) -> str:
-    """Unit of the displacement that goes with a measured quantity: mm for mm/s."""
-    if not unit or not ORDER[kind]:
-        return unit
-    for rate in _RATES[ORDER[kind]]:
-        if unit.endswith(rate):
-            return unit.removesuffix(rate)
-    return unit + _TIMES[ORDER[kind]]
+    return {name: f"{force}{time}/{as_factor(length)}" for name, time in _TIMES.items()}
 
 
 def describe(model) -> str:

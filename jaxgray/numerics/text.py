@@ -2,11 +2,15 @@
 
 import math
 
+ABSURD = 1e-7
+"""Standard error relative to its value below which it is not printed as one."""
+
 
 def plus_minus(value: float | None, error: float | None = None, *, digits: int = 2) -> str:
     """A value ± one standard error, the value to the same place as the error.
 
-    An error of zero belongs to a value that was given, not estimated.
+    An error of zero belongs to a value that was given, not estimated. One that is absurdly small is none: what it comes
+    from is rounding, or a parameter that the record does not determine.
 
     **Arguments:** `value`; `error`: default none; `digits` of the error, default 2.
 
@@ -18,6 +22,8 @@ def plus_minus(value: float | None, error: float | None = None, *, digits: int =
         return f"{value:.5g}"
     if error == 0:
         return f"{value:.5g} (fixed)"
+    if error < ABSURD * abs(value):
+        return f"{value:.6g}"
     size = max(abs(value), error)
     exponent = math.floor(math.log10(size))
     power = exponent if exponent < -3 or exponent > 5 else 0

@@ -2,35 +2,13 @@
 
 import numpy as np
 
-from ..mechanics.drives import ORDER, Force
+from ..mechanics.drives import Force
 from ..mechanics.model import MechanicalModel
-
-_ENDINGS = {"velocity": ("/s",), "acceleration": ("/s^2", "/s²", "/s2")}
-
-
-def displacement_unit(unit: str, measured: str) -> str:
-    """Unit of the displacement that goes with a measured quantity: m/s^2 of an acceleration gives m.
-
-    **Arguments:** `unit` of the channel; `measured`: "displacement", "velocity" or "acceleration".
-
-    **Returns:** the unit, empty where none is given.
-    """
-    unit = unit.strip()
-    for ending in _ENDINGS.get(measured, ()):
-        if unit.endswith(ending):
-            return unit[: -len(ending)]
-    if measured == "displacement" or not unit:
-        return unit
-    return f"{_factor(unit)} {'s' if ORDER[measured] == 1 else 's^2'}"
-
-
-def _factor(unit: str) -> str:
-    """In brackets where it would not bind as one factor."""
-    return f"({unit})" if "/" in unit or " " in unit or "*" in unit else unit
+from ..mechanics.units import as_factor, displacement_unit
 
 
 def _quotient(over: str, under: str) -> str:
-    return f"{over}/{_factor(under)}"
+    return f"{over}/{as_factor(under)}"
 
 
 def matrix_units(model: MechanicalModel) -> dict[str, list[list[str]]] | None:
@@ -59,7 +37,7 @@ def matrix_units(model: MechanicalModel) -> dict[str, list[list[str]]] | None:
                 return force[row], place[column]
         if place[r] == place[known]:
             return force[known], place[c]
-        return f"{force[known]} {place[known]}", f"{_factor(place[r])} {_factor(place[c])}"
+        return f"{force[known]} {place[known]}", f"{as_factor(place[r])} {as_factor(place[c])}"
 
     powers = {"mass": " s^2", "damping": " s", "stiffness": ""}
     return {

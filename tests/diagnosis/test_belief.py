@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxgray.diagnosis.assembly import picked_up, unit_text
+from jaxgray.diagnosis.assembly import picked_up
 from jaxgray.diagnosis.growth import _class_of, _unsure
 from jaxgray.diagnosis.judgement import SIGNIFICANT, significance
 from jaxgray.diagnosis.result import Rejected
@@ -77,9 +77,3 @@ def test_a_periodic_force_is_said_to_look_like_hum_of_the_sensor():
     ]
     (said,) = picked_up(SimpleNamespace(accepted=named), ("y1", "y2"))
     assert said.startswith("A hum that the sensor at y2 picks up looks the same as a periodic force there.")
-
-
-def test_forces_under_a_moving_base_are_those_on_a_mass_of_one():
-    for force in ("m", "m/s^2", "m/s²"):
-        assert unit_text((1, -2, 2), force, "m") == "1/m" and unit_text((1, -1, 0), force, "m") == "1/s^2"
-    assert unit_text((1, -2, 2), "N", "m") == "N s^2/m^2" and unit_text((1, 0, 0), "", "m") == ""

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from jaxgray import BaseAcceleration, Force, MechanicalModel
+from jaxgray.mechanics.units import displacement_unit
 from jaxgray.numerics.text import plus_minus
 from jaxgray.report.identification_rows import verdict
 from jaxgray.report.terminal import progress
-from jaxgray.report.units import displacement_unit, matrix_units
+from jaxgray.report.units import matrix_units
 
 
 @pytest.mark.parametrize(
@@ -19,6 +20,9 @@ from jaxgray.report.units import displacement_unit, matrix_units
         (1.23456789e8, 2.1e5, "(1.2346 ± 0.0021)e+08"),
         (0.0, 0.5, "0.00 ± 0.50"),
         (3.0, 0.0, "3 (fixed)"),
+        (2.748360970411279691, 1e-14, "2.74836"),
+        (0.02020388819, 2e-11, "0.0202039"),
+        (53.9, 1.2e-5, "53.900000 ± 0.000012"),
         (3.14159265, None, "3.1416"),
         (float("nan"), 1.0, "–"),
         (None, None, "–"),
