@@ -125,3 +125,61 @@ def three_storeys(seed, *, base=True, samples=8000):
     u = band_noise(rng, samples, 1 if base else 3, THREE_BAND, THREE_TIME) * (1.2 if base else 100.0)
     y = shaken(THREE.rates, u, THREE_TIME) if base else forced(THREE, u, THREE_TIME)
     return u, y + THREE_NOISE * rng.standard_normal(y.shape)
+
+
+LAWS = ("end_stop", "bilinear_stiffness", "coulomb_friction", "stiffness_step")
+"""What can go wrong in one storey."""
+
+
+def storey_law(name, frame, storey, drift, rng):
+    """Force of a damaged storey on the floor above it, as a function of drift, its rate and the share of the record.
+
+    **Arguments:** `name`: one of `LAWS`; `frame`; `storey`: its number from 0; `drift`: RMS drift of that storey
+    without the law [m]; `rng`.
+    """
+    k = frame.storeys[storey]
+    size = rng.uniform(0.7, 1.5)
+    if name == "end_stop":
+        gap = 1.2 * size * drift
+        return lambda d, v, share: k * (d - np.clip(d, -gap, gap))
+    if name == "bilinear_stiffness":
+        return lambda d, v, share: 0.15 * size * k * max(d, 0.0)
+    if name == "coulomb_friction":
+        force = 0.05 * size * k * drift
+        rate = 0.02 * drift * 2 * np.pi * frame.frequencies_hz[0]
+        return lambda d, v, share: force * np.tanh(v / rate)
+    begin = rng.uniform(0.3, 0.6)
+    return lambda d, v, share: -0.1 * k * d * (share > begin)
+
+
+def shaken_with(frame, u, sampling_time, storey, law, *, substeps=8):
+    """Absolute accelerations of all floors on a base with acceleration `u`, linear between samples, one storey with a
+    law of its own; classical Runge-Kutta in `substeps` a sample.
+
+    Returns the accelerations and the storey's RMS drift.
+    """
+    n = len(frame.masses)
+    damping, stiffness = frame.rates
+    arm = np.zeros(n)
+    arm[storey] = 1.0
+    if storey:
+        arm[storey - 1] = -1.0
+    per_mass = arm / frame.masses
+
+    def absolute(z, v, share):
+        return -(stiffness @ z + damping @ v) - per_mass * law(arm @ z, arm @ v, share)
+
+    h = sampling_time / substeps
+    z, v, out, drift = np.zeros(n), np.zeros(n), np.empty((len(u), n)), np.empty(len(u))
+    a = np.append(u[:, 0], u[-1, 0])
+    for k in range(len(u)):
+        out[k], drift[k] = absolute(z, v, k / len(u)), arm @ z
+        for j in range(substeps):
+            base = [a[k] + (a[k + 1] - a[k]) * (j + s) / substeps for s in (0.0, 0.5, 1.0)]
+            share = (k + j / substeps) / len(u)
+            k1v, k1z = absolute(z, v, share) - base[0], v
+            k2v, k2z = absolute(z + h / 2 * k1z, v + h / 2 * k1v, share) - base[1], v + h / 2 * k1v
+            k3v, k3z = absolute(z + h / 2 * k2z, v + h / 2 * k2v, share) - base[1], v + h / 2 * k2v
+            k4v, k4z = absolute(z + h * k3z, v + h * k3v, share) - base[2], v + h * k3v
+            z, v = z + h / 6 * (k1z + 2 * k2z + 2 * k3z + k4z), v + h / 6 * (k1v + 2 * k2v + 2 * k3v + k4v)
+    return out, float(np.sqrt(np.mean(drift**2)))

@@ -34,6 +34,9 @@ SETTLING = 4 * AR_ORDER
 AT_ONCE = 5
 """Parts of the grid of ratios that are tried beside one another: their number divides that of the ratios."""
 
+UNDAMPED = 1e-8
+"""Decay a sample that every motion has at least, for the smoother."""
+
 _FLOOR = 1e-12
 
 ROWS = 16
@@ -246,7 +249,9 @@ def smoothed_states(
     ahead = np.asarray(_respond(A - gain @ C, gain, eye, np.zeros((states, len(C))), residual))
     epsilon = residual - ahead @ C.T
     here = ahead + epsilon @ predicted_gain.T
-    P = scipy.linalg.solve_discrete_lyapunov(A - gain @ C, Q + gain @ (np.diag(V) + D * (ratio * force) @ D.T) @ gain.T)
+    # An undamped plant that nothing corrects has no stationary covariance; next to it there is one.
+    closed = (1 - UNDAMPED) * (A - gain @ C)
+    P = scipy.linalg.solve_discrete_lyapunov(closed, Q + gain @ (np.diag(V) + D * (ratio * force) @ D.T) @ gain.T)
     filtered = P - predicted_gain @ innovation @ predicted_gain.T
     back = np.linalg.lstsq(P.T, (filtered @ A.T).T, rcond=1e-12)[0].T
     # x_s[k] = here[k] + back (x_s[k+1] − ahead[k+1]), run from the end.

@@ -208,18 +208,29 @@ def at_start(start: Iterate, criterion: Criterion, first: Products) -> CholeskyE
 
 
 def start_cost(start: Iterate, criterion: Criterion, first: Products) -> float:
-    """`at_start(…).cost`, without another evaluation where rounding allows it: first states and offsets are linear in
-    the errors."""
-    change = np.eye(first.table.shape[-1])
-    step = _nuisance_step([np.asarray(block) for block in start.blocks], first, start.whitening)
-    change[-1 - len(step) : -1, -1] = step
+    """`at_start(…).cost`, without another evaluation where rounding allows it."""
     if not first.finite:
         return np.inf
-    there = Products(np.einsum("ca,opcd,db->opab", change, first.table, change), first.counts)
+    there = _with_best_nuisance(start, first)
     before, after = (np.diagonal(products.table[:, :, -1, -1]) for products in (first, there))
     if np.any(after < CANCELLED * before):
         return at_start(start, criterion, first).cost
     return likelihood_cost(there, criterion)
+
+
+def start_deviation(start: Iterate, first: Products) -> Float[np.ndarray, " outputs"]:
+    """Mean square error per output with the best first states and offsets, infinite after an overflow."""
+    if not first.finite:
+        return np.full(len(first.counts), np.inf)
+    return np.diagonal(_with_best_nuisance(start, first).table[:, :, -1, -1]) / np.asarray(first.counts)
+
+
+def _with_best_nuisance(start: Iterate, first: Products) -> Products:
+    """Products where first states and offsets, which are linear in the errors, are best for the start's weights."""
+    change = np.eye(first.table.shape[-1])
+    step = _nuisance_step([np.asarray(block) for block in start.blocks], first, start.whitening)
+    change[-1 - len(step) : -1, -1] = step
+    return Products(np.einsum("ca,opcd,db->opab", change, first.table, change), first.counts)
 
 
 def _nuisance_step(blocks, first: Products, whitening: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from .realization import MAPS
 from .refine import Refinement
 from .refine import refine as refine_model
 from .result import Identification, assess
-from .rigid import DRIFT, rigid_modes, windows, without_stiffness
+from .rigid import DRIFT, TURNED, phases, rigid_modes, windows, without_stiffness
 from .start import Start, StartOptions, filled, model_run, nearest_physical, total_deviation
 from .starts import other_starts, starts_of
 from .structure import Structure, structure_of
@@ -165,9 +165,8 @@ def identify(
 
         def refined(start: Start):
             matrices = physical(start)
-            values = np.linalg.eigvalsh(matrices[2])
             options = {
-                "offset": bool(values[0] > 1e-6 * values[-1]),
+                "offset": bool(phases(matrices, max(r.samples for r in records))[0] > TURNED),
                 "innovations": noise == "innovations",
                 "deviation": start.deviation,
             }

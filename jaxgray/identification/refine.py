@@ -16,8 +16,19 @@ from jaxtyping import Array, Bool, Float
 
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.stored_programs import stored
-from .cholesky import NEAR, NEAR_EDGE, at_start, cholesky_steps, likelihood_cost, pack, start_cost, unpack
+from .cholesky import (
+    NEAR,
+    NEAR_EDGE,
+    at_start,
+    cholesky_steps,
+    likelihood_cost,
+    pack,
+    start_cost,
+    start_deviation,
+    unpack,
+)
 from .conic import ConicEnd, conic_steps
+from .continuation import lengthened, poor
 from .normal import FLOOR, Criterion, Iterate, Normal, Prior, Products
 from .prediction import Batch, Nuisance, Setting
 from .structure import Structure
@@ -28,6 +39,12 @@ a direction that starts hundreds of times too soft may never find its frequency 
 
 _BOLDNESS = 30.0
 """The optimiser's first damping is 1: with Jacobian columns of this norm it is a thousandth of the curvature."""
+
+POOR = 0.3
+"""Share of any output's power left by the start from which it is brought nearer first."""
+
+FAR = 0.5
+"""Share of a start's squared error left by the best first states and offsets below which steps begin with these."""
 
 SLACK = 1.0
 """Rise of −2 ln L over that of the start up to which a refinement counts as no worse: a prior, and rounding."""
@@ -176,6 +193,15 @@ def refine(
     begin = here = begun(0.0)
     at_begin = first = criterion.evaluate(here.blocks, nuisance)
     taken = 0
+    if not near and poor(start_deviation(begin, first), POOR):
+        start = lengthened(start, batch, setting, structure, fixed, prior)
+        here = begun(0.0)
+        first = criterion.evaluate(here.blocks, nuisance)
+    if np.any(start_deviation(here, first) < FAR * np.diag(first.covariance(False))):
+        # Not at rest: with first states of zero the first steps would bend M, D, K to what these explain.
+        end = at_start(here, criterion, first)
+        nuisance, whitening, first = end.at.nuisance, end.products.whitening(False), end.products
+        here = begun(0.0)
     if near and not innovations:
         start_end = at_start(here, criterion, first)
         here, first = start_end.at, start_end.products

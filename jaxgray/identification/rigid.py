@@ -11,6 +11,9 @@ from .structure import Absent, Full, Structure
 SLOW = 0.05
 """Phase [rad] over the whole record below which a motion counts as rigid."""
 
+TURNED = 1.0
+"""Phase [rad] over the whole record below which an offset of the outputs cannot be told from a first state."""
+
 DRIFT = 0.02
 """Share of an output's power left by the start above which the free run of a rigid body counts as drift."""
 
@@ -20,10 +23,18 @@ SHORTEST = 200
 
 def rigid_modes(start: Start, samples: int) -> int:
     """Number of modes of a starting model too slow to be told from a rigid body in so many samples."""
-    M, _, K = (np.asarray(X) for X in start.matrices)
+    return int(np.sum(phases(start.matrices, samples) < SLOW))
+
+
+def phases(matrices, samples: int) -> np.ndarray:
+    """Phase [rad] through which every mode goes in so many samples, ascending.
+
+    **Arguments:** `matrices`: M, D, K, time in samples; `samples`.
+    """
+    M, _, K = (np.asarray(X) for X in matrices)
     M = (M + M.T) / 2
     values = scipy.linalg.eigh((K + K.T) / 2, M + 1e-12 * np.trace(M) * np.eye(len(M)), eigvals_only=True)
-    return int(np.sum(np.sqrt(np.maximum(values, 0.0)) * samples < SLOW))
+    return np.sqrt(np.maximum(values, 0.0)) * samples
 
 
 def windows(records: list[Record]) -> list[Record]:

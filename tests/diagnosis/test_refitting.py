@@ -7,6 +7,7 @@ from found import diagnosed, hidden_case, model_findings
 
 from jaxgray.diagnosis import bench
 from jaxgray.diagnosis.extension import _Step
+from jaxgray.identification.structure import Structure
 from jaxgray.numerics import side_by_side
 
 FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "position_dependent_friction")
@@ -36,9 +37,7 @@ def test_a_second_core_changes_nothing_and_the_noise_of_a_fit_is_estimated_once(
 
 def test_a_step_is_the_same_in_any_unit():
     # A cubic spring of 1e10 N/m³ beside a mass of 1 kg: its curvature is next to nothing, its step is not.
-    setup = SimpleNamespace(
-        dofs=1, sizes=(1, 1, 1), structure=SimpleNamespace(owners=lambda _: ("mass", "damping", "stiffness"))
-    )
+    setup = SimpleNamespace(dofs=1, sizes=(1, 1, 1), structure=Structure())
     layout = SimpleNamespace(entries=3, first=5, size=6, lower=np.array([-np.inf]), upper=np.array([np.inf]))
     rows = np.random.default_rng(5).standard_normal((6, 60))
     H, g = rows @ rows.T, np.array([0.3, -0.2, 0.4, 0.5, -0.1, 0.2])

@@ -9,8 +9,10 @@ import pytest
 import jaxgray
 from jaxgray.identification import refine as refinement
 from jaxgray.identification.normal import Iterate, part
-from jaxgray.identification.preparation import prepare
+from jaxgray.identification.prediction import Batch, Setting
+from jaxgray.identification.preparation import prepare, scaling_of
 from jaxgray.identification.start import model_run
+from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.modal_uncertainty import modal_uncertainty
 from jaxgray.numerics.outcomes import RESULTS
 
@@ -128,3 +130,21 @@ def test_blocks_of_a_scaled_chain_come_back():
     plain = Chain().matrix(springs, None, None)
     np.testing.assert_allclose(physical / physical[0, 1], plain / plain[0, 1], atol=1e-12)
     assert part(np.ones(5), (1,) * 5)[0].shape == (1, 1)
+
+
+@pytest.mark.parametrize("off", [0.7, 1.4])
+def test_a_start_out_of_phase_with_the_record_is_brought_to_it_over_windows(off):
+    # Frequencies 16 and 18 % off: over 4000 samples more than a hundred periods of the second mode.
+    M, K = np.diag([2.0, 1.0]), np.array([[500.0, -200.0], [-200.0, 300.0]])
+    D = 0.002 * K
+    rng = np.random.default_rng(8)
+    u = data.random_steps(rng, 4000, 2, 0.02, hold_times=(0.1, 0.6))
+    y = data.simulate(M, D, K, u, 0.02)
+    record = jaxgray.Record(u, y + 0.002 * y.std(axis=0) * rng.standard_normal(y.shape), 0.02)
+    scaling = scaling_of([record])
+    drive = Force(np.eye(2)).scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time)
+    setting = Setting(drive, record.measured, record.hold)
+    start = [np.asarray(X) for X in scaling.matrices_in(M, D, off * K)]
+    found = refinement.refine(start, Batch.of([prepare(record, scaling)]), setting)
+    stiffness = np.asarray(scaling.matrices_out(found.mass, found.damping, found.stiffness)[2])
+    np.testing.assert_allclose(stiffness, K, atol=2e-3 * K.max())
