@@ -7,7 +7,7 @@ of many minima. Over a period or two there is one.
 import jax
 import numpy as np
 import scipy.linalg
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from ..numerics.outcomes import ComputationError
 from .cholesky import cholesky_steps
@@ -95,8 +95,3 @@ def _windows(batch: Batch, length: int) -> Batch | None:
         return jax.device_put(np.stack([x[r, k * length : (k + 1) * length] for r, k in chosen]))
 
     return Batch(cut(u), cut(y), cut(kept), True)
-
-
-def poor(deviation: Float[np.ndarray, " outputs"], limit: float) -> bool:
-    """Whether a free run leaves more than this share of any output's power (unit size), or nothing finite."""
-    return not np.all(deviation < limit)

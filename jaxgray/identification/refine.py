@@ -28,7 +28,7 @@ from .cholesky import (
     unpack,
 )
 from .conic import ConicEnd, conic_steps
-from .continuation import lengthened, poor
+from .continuation import lengthened
 from .normal import FLOOR, Criterion, Iterate, Normal, Prior, Products
 from .prediction import Batch, Nuisance, Setting
 from .structure import Structure
@@ -175,10 +175,37 @@ def refine(
 
     **Raises:** `ComputationError` when no finite step was possible.
 
+    Where the steps from a poor start do not settle, they are taken again from where fits over ever longer windows lead
+    it, and the likelier end counts.
+
     **Reference:** Ljung, *System Identification*, §7.4 (determinant criterion) and §10.2.
     """
     structure = Structure() if structure is None else structure
     start = tuple(np.asarray(X) for X in start)
+    options = {"offset": offset, "innovations": innovations, "deviation": deviation, "near": near}
+    first = failure = None
+    try:
+        first = _refined(start, batch, setting, structure, fixed, prior, **options)
+    except ComputationError as error:
+        failure = error
+    settled = first is not None and first.result == RESULTS.successful
+    if settled or near or innovations or (deviation is not None and np.all(np.asarray(deviation) < POOR)):
+        if first is None:
+            raise failure
+        return first
+    nearer = lengthened(start, batch, setting, structure, fixed, prior)
+    try:
+        second = _refined(nearer, batch, setting, structure, fixed, prior, **options | {"deviation": None})
+    except ComputationError:
+        second = None
+    ends = [end for end in (first, second) if end is not None]
+    if not ends:
+        raise failure
+    return min(ends, key=lambda end: end.cost)
+
+
+def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovations, deviation, near) -> Refinement:
+    """`refine` from one start, its arguments as there."""
     outputs = batch.y.shape[2]
     criterion = Criterion(batch, setting, structure, prior)
     nuisance = begin_nuisance(batch, setting, offset=offset, innovations=False)
@@ -193,10 +220,6 @@ def refine(
     begin = here = begun(0.0)
     at_begin = first = criterion.evaluate(here.blocks, nuisance)
     taken = 0
-    if not near and poor(start_deviation(begin, first), POOR):
-        start = lengthened(start, batch, setting, structure, fixed, prior)
-        here = begun(0.0)
-        first = criterion.evaluate(here.blocks, nuisance)
     if np.any(start_deviation(here, first) < FAR * np.diag(first.covariance(False))):
         # Not at rest: with first states of zero the first steps would bend M, D, K to what these explain.
         end = at_start(here, criterion, first)

@@ -337,14 +337,17 @@ def test_modes_alone_lead_near_the_truth():
     assert mass < 0.02 and stiffness < 0.02 and damping < 0.4
 
 
-def test_a_drift_is_not_taken_for_a_slow_mode():
-    """The refinement from the subspace start ends at masses of 1e6, unsettled: another start is tried."""
+@pytest.mark.parametrize("shaken", [0, 1, 2])
+def test_a_drift_is_not_taken_for_a_slow_mode(shaken):
+    """The refinement from the subspace start ends at masses of 1e6, unsettled: another start is tried. Whatever the last
+    digits are, which processors do not agree on."""
     rng = np.random.default_rng([77, 3])
     u = data.random_steps(rng, SAMPLES, 2, H, (0.2, 1.5))
     y = data.simulate(*TRUTH, u, H)
     share = np.arange(SAMPLES) / SAMPLES
     drift = 3.2 * y[:, 1].std() * (share + 0.8 * share**2)
     y = y + NOISE * rng.standard_normal(y.shape) + np.stack([np.zeros(SAMPLES), drift], axis=1)
+    y = y * (1 + 1e-13 * shaken * np.random.default_rng(shaken).standard_normal(y.shape))
     assert max(errors_of(identify(Record(u, y, H)))) < 0.05
 
 
