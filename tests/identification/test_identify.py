@@ -339,8 +339,8 @@ def test_modes_alone_lead_near_the_truth():
 
 @pytest.mark.parametrize("shaken", [0, 1, 2])
 def test_a_drift_is_not_taken_for_a_slow_mode(shaken):
-    """The refinement from the subspace start ends at masses of 1e6, unsettled: another start is tried. Whatever the last
-    digits are, which processors do not agree on."""
+    """The refinement from the subspace start ends at masses of 1e6, unsettled: another start is tried, whatever the
+    last digits are, on which processors do not agree."""
     rng = np.random.default_rng([77, 3])
     u = data.random_steps(rng, SAMPLES, 2, H, (0.2, 1.5))
     y = data.simulate(*TRUTH, u, H)
