@@ -7,7 +7,7 @@ begun at the realisation's, find the modes that the record shows; what it does n
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Complex, Float
 
 from ..mechanics.statespace import sampled
 from ..numerics.linear_algebra import from_symmetric_vector
@@ -34,12 +34,10 @@ OWN = 0.1
 class MassKnowledge(eqx.Module):
     """What is known and assumed of free M, D, K under base excitation.
 
-    `prior` of their entries, None where all masses are given; `fixed`: entries of the joined symmetric vectors that are
-    held; `mass`: scaled, NaN where nothing is given.
+    `prior` of their entries, None where all masses are given; `mass`: scaled, NaN where nothing is given.
     """
 
     prior: Prior | None
-    fixed: Bool[np.ndarray, " entries"]
     mass: Float[np.ndarray, "dofs dofs"]
 
     @property

@@ -48,6 +48,8 @@ def lengthened(
 
     **Reference:** Bock (1981), and Ribeiro et al., Automatica 121 (2020) 109158 (multiple shooting).
     """
+    if not all(np.all(np.isfinite(X)) for X in matrices):
+        return matrices
     length = _first_length(matrices)
     while (cut := _windows(batch, length)) is not None:
         records, _, outputs = cut.y.shape

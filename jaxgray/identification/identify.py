@@ -126,11 +126,10 @@ def identify(
     complete = filled(records, scaling, None) if any(r.has_missing for r in records) else signals
     check_reach(complete, records[0].input_names, records[0].output_names)
 
-    held_free, _ = fixed_entries(entries, relaxed(form), scaling)
     mass = None
     if not isinstance(drive, Force):
         held_full, _ = fixed_entries(entries, Structure(), scaling)
-        mass = MassKnowledge(mass_prior(Structure(), scaling, known["mass"], held_full), held_full, known["mass"])
+        mass = MassKnowledge(mass_prior(Structure(), scaling, known["mass"], held_full), known["mass"])
     options = _start_options(
         records, time_constants, block_rows, weight, map, input_matrix_from, known["mass"], mass, thorough=not refine
     )
@@ -162,6 +161,7 @@ def identify(
     batch = Batch.of(signals)
     refinement = None
     if refine:
+        held_free, _ = fixed_entries(entries, relaxed(form), scaling)
 
         def refined(start: Start):
             matrices = physical(start)

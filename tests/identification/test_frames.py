@@ -154,3 +154,15 @@ def test_a_start_out_of_phase_with_the_record_is_brought_to_it_over_windows():
     stiffness = np.asarray(scaling.matrices_out(found.mass, found.damping, found.stiffness)[2])
     assert found.result == RESULTS.successful
     np.testing.assert_allclose(stiffness, frame.stiffness, atol=5e-3 * frame.stiffness.max())
+
+
+def test_a_rigid_body_takes_a_structure_too():
+    rng = np.random.default_rng(9)
+    M, D = np.diag([2.0, 1.0]), np.array([[0.6, -0.2], [-0.2, 0.3]])
+    u = data.random_steps(rng, 4000, 2, 0.01)
+    y = data.simulate(M, D, np.zeros((2, 2)), u, 0.01)
+    found = jaxgray.identify(
+        jaxgray.Record(u, y + 1e-3 * rng.standard_normal(y.shape), 0.01), structure="diagonal-mass"
+    )
+    np.testing.assert_allclose(found.mass, M, atol=0.05)
+    assert found.structure_price[0] == 1
