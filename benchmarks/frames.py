@@ -204,7 +204,8 @@ def drawn_frame(seed):
     storeys = int(rng.integers(2, 9))
     damping = np.exp(rng.uniform(np.log(0.005), np.log(0.05)))
     frame = frames.random_frame(rng, storeys, damping)
-    time = 1 / rng.choice([50.0, 100.0, 200.0, 400.0])
+    rates = np.array([50.0, 100.0, 200.0, 400.0])
+    time = 1 / rng.choice(rates[rates * 0.45 > min(frame.frequencies_hz[-1], 179.0)])
     samples = int(min(rng.choice([20.0, 60.0, 200.0]) / time, 40000))
     kind, relative, measured = SENSORS[int(rng.integers(len(SENSORS)))]
     band = 0.5, min(1.5 * frame.frequencies_hz[-1], 0.4 / time)
