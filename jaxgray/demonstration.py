@@ -9,7 +9,7 @@ from rich.console import Console
 from .demonstration_effects import NOISE, SAMPLES, SAMPLING_TIME, TRUTH, Hidden, simulated
 from .diagnosis.diagnose import diagnose
 from .diagnosis.result import Diagnosis
-from .diagnosis.titles import title_of, value_text
+from .diagnosis.words.titles import title_of, value_text
 from .identification.validation import fit_of
 from .numerics.progress import AbstractProgress
 from .numerics.text import plus_minus

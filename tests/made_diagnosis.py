@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 
 from jaxgray import MechanicalModel, Record
-from jaxgray.diagnosis.result import (
+from jaxgray.diagnosis.findings import (
     Curves,
-    Diagnosis,
     Estimate,
     Finding,
     Gain,
@@ -18,6 +17,7 @@ from jaxgray.diagnosis.result import (
     ParameterShift,
     Rejected,
 )
+from jaxgray.diagnosis.result import Diagnosis
 from jaxgray.mechanics.effects import Place, Term, by_id
 
 SAMPLES = 400

@@ -1,14 +1,19 @@
 """The rooms of the package and the floors they stand on."""
 
+import ast
+import graphlib
 import pathlib
 import subprocess
 import sys
 
+import grimp
 import pytest
 
 import jaxgray
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
+FLOORS = [ROOT / "jaxgray" / name for name in ("diagnosis",)]
+"""Floors whose folders hold ten modules at most."""
 
 
 def test_imports_go_down_the_floors():
@@ -17,9 +22,20 @@ def test_imports_go_down_the_floors():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_rooms_stay_small():
-    large = {p.name: n for p in ROOT.glob("jaxgray/**/*.py") if (n := len(p.read_text().splitlines())) > 400}
-    assert not large
+def test_no_module_imports_itself_by_way_of_others():
+    graph = grimp.build_graph("jaxgray")
+    below = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
+    with pytest.raises(graphlib.CycleError):
+        graphlib.TopologicalSorter({"a": {"b"}, "b": {"a"}}).prepare()
+    graphlib.TopologicalSorter(below).prepare()
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_rooms_of_a_floor_hold_few_modules(floor):
+    folders = [floor, *(p for p in floor.rglob("*") if p.is_dir() and any(p.glob("*.py")))]
+    held = {str(p.relative_to(ROOT)): sum(q.name != "__init__.py" for q in p.glob("*.py")) for p in folders}
+    assert max(held.values()) <= 10, held
+    assert all(ast.get_docstring(ast.parse((p / "__init__.py").read_text())) for p in folders)
 
 
 @pytest.mark.parametrize(

@@ -89,8 +89,8 @@ def own_model(path: Path, record: Record, excitation: Excitation):
     import dataclasses
 
     from ..identification.options import drive_of
+    from ..mechanics.abstract_model import effect_names
     from ..mechanics.linear import corrected
-    from ..mechanics.model import effect_names
     from ..report import export
 
     model, given = export.load(path), export.given(path)

@@ -14,7 +14,7 @@ from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import rarely_collecting, ready, relieve
 from ..records import Record, check_compatible, preflight
 from ..records.cleaning import without_defects
-from .assembly import (
+from .conclusions.assembly import (
     accepted_names,
     budget_of,
     curves_of,
@@ -27,29 +27,30 @@ from .assembly import (
     shifts_of,
     summary_of,
 )
-from .baseline import ADOPTED, baseline_of, independent_floor
-from .belief import residual_rms
-from .bench import Bench
-from .competitor import FlexibleForce
-from .compiling import compiling_ahead
-from .enough import check_enough
-from .experiment import next_experiment
-from .gain import gain_of
-from .grown import Growth
-from .growth import grow, recount
-from .judgement import FreeRun, overall
-from .late_outliers import merged, without_late_outliers
-from .other_start import from_other_modes
-from .own_model import identified
-from .own_zeros import from_own_zeros
-from .problem import Data
-from .ranking import gate_of, rejected_of
-from .reach import beyond_the_fit
-from .record_findings import noise_findings, record_findings, still_spoilt
-from .refitting import explainable_share
-from .response import Simulator
-from .result import Diagnosis, Finding
-from .routes import asked_of_forces, begin, by_force_equation, may_come_into_step
+from .conclusions.candidates import gate_of, rejected_of
+from .conclusions.explainable import explainable_share
+from .conclusions.next_experiment import next_experiment
+from .data_checks.extrapolation import beyond_the_fit
+from .data_checks.output_offsets import from_own_zeros
+from .data_checks.record_findings import noise_findings, record_findings, still_spoilt
+from .data_checks.residual_outliers import merged, without_late_outliers
+from .data_checks.sample_size import check_enough
+from .estimation.context import Bench
+from .findings import Finding
+from .model.baseline import ADOPTED, baseline_of
+from .model.candidate import Data
+from .model.compile_ahead import compiling_ahead
+from .model.free_run import FreeRun, overall
+from .model.held_out_gain import gain_of
+from .model.simulator import Simulator
+from .noise.floor import independent_floor, residual_rms
+from .result import Diagnosis
+from .routing import asked_of_forces, begin, by_force_equation, may_come_into_step
+from .screening.flexible_force import FlexibleForce
+from .search.forward import grow, recount
+from .search.modal_restart import from_other_modes
+from .search.state import Growth
+from .starts.user_model import identified
 
 FORCES = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
 

@@ -8,8 +8,8 @@ from jaxtyping import Array, Complex, Float
 
 from ..numerics.runtime import ready
 from ..numerics.stored_programs import stored
+from .abstract_model import AbstractMechanicalModel
 from .drives import ORDER
-from .model import MechanicalModel
 
 KINDS = {"receptance": 0, "mobility": 1, "accelerance": 2}
 """Time derivatives between a frequency-response function of this kind and the receptance."""
@@ -162,7 +162,7 @@ def _modes(mass, damping, stiffness):
     return f, ratio, undamped_modes(mass, stiffness)[1], *damped_poles(mass, damping, stiffness)
 
 
-def modes(model: MechanicalModel) -> Modes:
+def modes(model: AbstractMechanicalModel) -> Modes:
     """Natural frequencies, damping ratios, mode shapes and poles of a model's mass, damping and stiffness.
 
     **Arguments:** `model`.
@@ -182,7 +182,7 @@ def modes(model: MechanicalModel) -> Modes:
     return Modes(f, ratio, V, s, phi, model.output_names)
 
 
-def check_mass(model: MechanicalModel) -> None:
+def check_mass(model: AbstractMechanicalModel) -> None:
     """Raise `ValueError` where the mass is not positive definite."""
     values = np.linalg.eigvalsh(np.asarray(model.mass))
     if not values[0] > 0:
@@ -216,7 +216,7 @@ def check_kind(kind: str) -> str:
     return kind
 
 
-def known_rate(model: MechanicalModel) -> str:
+def known_rate(model: AbstractMechanicalModel) -> str:
     """What is known of the coordinates from the input alone, "displacement" or "acceleration".
 
     With the base acceleration as input their absolute motion is only known as acceleration.
@@ -229,7 +229,7 @@ def known_rate(model: MechanicalModel) -> str:
 
 
 def response(
-    model: MechanicalModel, omega: Float[Array, " frequencies"]
+    model: AbstractMechanicalModel, omega: Float[Array, " frequencies"]
 ) -> Complex[Array, "frequencies outputs inputs"]:
     """Frequency-response function of the `known_rate` of the coordinates, whatever is measured; traceable."""
     squared, V = undamped_modes(model.mass, model.stiffness)
@@ -241,7 +241,7 @@ def response(
 _response = stored(response)
 
 
-def rate_factor(model: MechanicalModel, omega, kind: str) -> Complex[np.ndarray, "frequencies 1 1"]:
+def rate_factor(model: AbstractMechanicalModel, omega, kind: str) -> Complex[np.ndarray, "frequencies 1 1"]:
     """(jω)^k, which leads from `response` to the kind asked for."""
     return (1j * np.asarray(omega)[:, None, None]) ** (KINDS[check_kind(kind)] - ORDER[known_rate(model)])
 
@@ -255,7 +255,7 @@ def check_omega(omega) -> Float[Array, " frequencies"]:
 
 
 def frequency_response(
-    model: MechanicalModel, omega, *, kind: str = "receptance"
+    model: AbstractMechanicalModel, omega, *, kind: str = "receptance"
 ) -> Complex[np.ndarray, "frequencies outputs inputs"]:
     """Frequency-response function of the coordinates, for forces (K + jωD − ω²M)⁻¹E (jω)^k.
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.runtime import ready
+from .abstract_model import AbstractMechanicalModel
 from .drives import ORDER, AbstractDrive, Force
-from .statespace import StateSpace
 
 
 def _matrix(value, name: str) -> Array:
@@ -20,12 +20,7 @@ def _matrix(value, name: str) -> Array:
     return X
 
 
-def effect_names(model) -> str:
-    """The effects of a model for a message: `coulomb_friction at y1, end_stop at y2`."""
-    return ", ".join(f"{term.effect.id} at {term.place.name}" for term in model.effects)
-
-
-class MechanicalModel(eqx.Module):
+class MechanicalModel(AbstractMechanicalModel):
     """A linear mechanical system in continuous time, in the units of the record it came from.
 
     M q̈ + D q̇ + K q = E u, outputs measured one per coordinate.
@@ -100,26 +95,6 @@ class MechanicalModel(eqx.Module):
         ):
             if len(getattr(self, name)) != wanted:
                 raise ValueError(f"{name}={getattr(self, name)} has {len(getattr(self, name))} entries, not {wanted}.")
-
-    @property
-    def dofs(self) -> int:
-        """Number of coordinates."""
-        return self.mass.shape[0]
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs."""
-        return self.drive.inputs
-
-    def state_space(self, time_unit: float = 1.0) -> StateSpace:
-        """First-order form ẋ = A x + B u, y = C x + D u with x = (q, T q̇).
-
-        **Arguments:** `time_unit` (T) [s, default 1]: time is counted in it, so that a fast and a slow system
-        look alike to the numerics.
-
-        **Returns:** a `StateSpace` in continuous time.
-        """
-        return self.drive.state_space(self.mass, self.damping, self.stiffness, self.measured, time_unit)
 
     def with_matrices(self, mass, damping, stiffness) -> "MechanicalModel":
         """The same model with other matrices."""

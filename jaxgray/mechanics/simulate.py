@@ -13,9 +13,9 @@ from ..numerics.runtime import ready
 from ..numerics.stored_programs import ONCE, stored
 from ..records import Record
 from ..records.channels import as_channels, as_seconds
+from .abstract_model import AbstractMechanicalModel, effect_names
 from .extended import Plant, extended_run
 from .first_state import refined_state
-from .model import MechanicalModel, effect_names
 from .statespace import StateSpace, check_hold, hold_matrices, sampled
 
 RANK_TOLERANCE = 1e-10
@@ -28,7 +28,7 @@ LEAST_NOISE = 1e-6
 """Output noise, relative to the output, that prediction assumes at least: without, it has no gain."""
 
 
-def sampled_model(model: MechanicalModel, sampling_time, hold: str) -> tuple[StateSpace, Array, Array]:
+def sampled_model(model: AbstractMechanicalModel, sampling_time, hold: str) -> tuple[StateSpace, Array, Array]:
     """The linear part of a model at its sampling instants, and what its state holds.
 
     The state of the sampled system is x̃ = (q, h q̇) − (H + S) u: H is what the linear hold takes out of the
@@ -53,13 +53,13 @@ _free_response = stored(free_response)
 
 
 @stored
-def _extended(model: MechanicalModel, u, sampling_time, hold, x0, scheduling, substeps):
+def _extended(model: AbstractMechanicalModel, u, sampling_time, hold, x0, scheduling, substeps):
     plant = Plant(model.mass, model.damping, model.stiffness, model.drive, model.measured)
     return extended_run(plant, model.effects, x0, u, sampling_time, hold, scheduling=scheduling, substeps=substeps)
 
 
 def free_run(
-    model: MechanicalModel, u, sampling_time, hold: str, x0, *, scheduling=None, substeps: int = 1
+    model: AbstractMechanicalModel, u, sampling_time, hold: str, x0, *, scheduling=None, substeps: int = 1
 ) -> Float[Array, "samples outputs"]:
     """Outputs of a model, its effects included.
 
@@ -82,7 +82,7 @@ def free_run(
 
 
 def simulate(
-    model: MechanicalModel,
+    model: AbstractMechanicalModel,
     u,
     sampling_time: float,
     *,
@@ -120,7 +120,7 @@ def simulate(
 
 
 def initial_state(
-    model: MechanicalModel,
+    model: AbstractMechanicalModel,
     u,
     y,
     sampling_time: float,
@@ -219,7 +219,7 @@ def _corrections(system, residual, kept, force, deviation):
 
 
 def predict(
-    model: MechanicalModel,
+    model: AbstractMechanicalModel,
     u,
     y,
     sampling_time: float,

@@ -7,8 +7,8 @@ from jaxtyping import Complex, Float
 
 from ..numerics.runtime import ready
 from ..numerics.stored_programs import stored
+from .abstract_model import AbstractMechanicalModel
 from .modal import check_mass, time_scale, undamped_modes
-from .model import MechanicalModel
 
 RANK_TOLERANCE = 1e-10
 """Singular value, relative to matrices of unit size, below which a direction is taken to be blocked."""
@@ -66,12 +66,12 @@ def _first_order(model):
     return T, system.A, system.B, system.C, system.D
 
 
-def first_order(model: MechanicalModel) -> tuple[np.ndarray, ...]:
+def first_order(model: AbstractMechanicalModel) -> tuple[np.ndarray, ...]:
     """T [s], in which the fastest motion is of unit rate, and A, B, C, D with time counted in it."""
     return tuple(np.asarray(part) for part in _first_order(model))
 
 
-def transmission_zeros(model: MechanicalModel) -> Zeros:
+def transmission_zeros(model: AbstractMechanicalModel) -> Zeros:
     """Invariant zeros of a model: where [A − zI, B; C, D] loses rank, with as many outputs as inputs or not.
 
     Collocated forces and displacements on every coordinate have none; measured velocities have one and
@@ -86,7 +86,7 @@ def transmission_zeros(model: MechanicalModel) -> Zeros:
     return _zeros(model, np.arange(model.inputs), np.arange(model.dofs))
 
 
-def zeros(model: MechanicalModel, *, input, output) -> Zeros:
+def zeros(model: AbstractMechanicalModel, *, input, output) -> Zeros:
     """Zeros from one input to one output, with the antiresonances in Hz.
 
     Poles of modes that the input does not reach or the output does not see are among them.
@@ -111,7 +111,7 @@ def _position(argument: str, given, names: tuple[str, ...]) -> int:
     raise ValueError(f"{argument}={given!r} is not known; give one of {', '.join(names)} or its position from 0.")
 
 
-def _zeros(model: MechanicalModel, inputs, outputs) -> Zeros:
+def _zeros(model: AbstractMechanicalModel, inputs, outputs) -> Zeros:
     ready()
     check_mass(model)
     T, A, B, C, D = first_order(model)

@@ -5,7 +5,7 @@ import textwrap
 import numpy as np
 from rich.console import Console
 
-from ..diagnosis.titles import name_of
+from ..diagnosis.words.titles import name_of
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS, RECORD_FINDINGS, AbstractEffect, Parameter
 
 EFFECTS = "jaxgray/effects/1"

@@ -3,10 +3,10 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..diagnosis.missing_force import missing_forces
+from ..diagnosis.conclusions.missing_force import missing_forces
+from ..diagnosis.conclusions.spectra import spectra
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.spectra import spectra
-from ..diagnosis.titles import title_of
+from ..diagnosis.words.titles import title_of
 from .binning import binned, decided_by
 from .diagnosis_rows import budget_name, candidates
 from .diagnosis_summary import diagnosis_document

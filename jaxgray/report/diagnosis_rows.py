@@ -2,8 +2,8 @@
 
 import re
 
-from ..diagnosis.titles import NAMES, place_of, title_of, value_text
-from ..diagnosis.words import entry_of, times
+from ..diagnosis.words.sentences import entry_of, times
+from ..diagnosis.words.titles import NAMES, place_of, title_of, value_text
 from ..numerics.text import plus_minus
 from .identification_rows import MATRICES
 from .rows import Rows, number

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ..diagnosis.result import Diagnosis, Estimate, Finding, Gain, ModelSummary, NextExperiment
+from ..diagnosis.findings import Estimate, Finding, Gain, ModelSummary, NextExperiment
+from ..diagnosis.result import Diagnosis
 from .export import model_document, plain
 from .summary import record_document
 from .terms import term_document

@@ -7,7 +7,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from ..diagnosis.titles import title_of
+from ..diagnosis.words.titles import title_of
 from .diagnosis_rows import (
     budget_rows,
     error_rows,

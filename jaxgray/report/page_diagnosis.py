@@ -3,8 +3,8 @@
 import numpy as np
 
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.titles import place_of, title_of
-from ..diagnosis.words import times
+from ..diagnosis.words.sentences import times
+from ..diagnosis.words.titles import place_of, title_of
 from ..mechanics.effects import AbstractEffect
 from .diagnosis_rows import (
     budget_rows,

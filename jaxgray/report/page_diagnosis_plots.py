@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ..diagnosis.missing_force import MissingForce, Variable, missing_forces
+from ..diagnosis.conclusions.missing_force import MissingForce, Variable, missing_forces
+from ..diagnosis.conclusions.spectra import Spectra, spectra
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.spectra import Spectra, spectra
-from ..diagnosis.titles import title_of
+from ..diagnosis.words.titles import title_of
 from .binning import binned, decided_by
 from .diagnosis_rows import budget_name, output_names
 from .page_parts import Plot, axis, labelled, over_time, packed, stretch_for

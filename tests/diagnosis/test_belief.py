@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxgray.diagnosis.assembly import picked_up
-from jaxgray.diagnosis.growth import _class_of, _unsure
-from jaxgray.diagnosis.judgement import SIGNIFICANT, significance
-from jaxgray.diagnosis.result import Rejected
+from jaxgray.diagnosis.conclusions.assembly import picked_up
+from jaxgray.diagnosis.estimation.significance import significance
+from jaxgray.diagnosis.findings import Rejected
+from jaxgray.diagnosis.search.forward import _class_of, _unsure
+from jaxgray.diagnosis.settings import SIGNIFICANT
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxgray import Record
-from jaxgray.diagnosis.assembly import budget_of
-from jaxgray.diagnosis.problem import Data
+from jaxgray.diagnosis.conclusions.assembly import budget_of
+from jaxgray.diagnosis.model.candidate import Data
 
 SAMPLES, NOISE, SLOW = 4000, 0.1, 1.0
 

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import jaxgray
-from jaxgray.diagnosis import compiling, diagnose, response
-from jaxgray.diagnosis.baseline import baseline_of
-from jaxgray.diagnosis.problem import Data
+from jaxgray.diagnosis import diagnose
+from jaxgray.diagnosis.model import compile_ahead as compiling
+from jaxgray.diagnosis.model import simulator as response
+from jaxgray.diagnosis.model.baseline import baseline_of
+from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.mechanics.effects import CATALOGUE
 from jaxgray.numerics import stored_programs
 from jaxgray.numerics.backend import flags_are_known

@@ -7,7 +7,7 @@ from found import SAMPLES, generator
 from independent import smooth_noise
 
 import jaxgray
-from jaxgray.diagnosis import routes
+from jaxgray.diagnosis import routing as routes
 from jaxgray.identification.structure_test import structure_test
 from jaxgray.numerics.outcomes import RESULTS
 

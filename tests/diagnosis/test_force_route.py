@@ -8,10 +8,10 @@ import numpy as np
 from independent import smooth_noise
 
 from jaxgray import Record, diagnose, write_report
-from jaxgray.diagnosis.force_result import force_diagnosis
-from jaxgray.diagnosis.force_route import _ordered
-from jaxgray.diagnosis.force_search import search_forces
-from jaxgray.diagnosis.missing_force import missing_forces
+from jaxgray.diagnosis.conclusions.equation_error import force_diagnosis
+from jaxgray.diagnosis.conclusions.missing_force import missing_forces
+from jaxgray.diagnosis.equation_error.search import _ordered
+from jaxgray.diagnosis.equation_error.without_unmeasured_forces import search_forces
 from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import by_id
 from jaxgray.numerics.progress import Silent

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxgray.diagnosis.gain import gain_of
-from jaxgray.diagnosis.judgement import FreeRun
+from jaxgray.diagnosis.model.free_run import FreeRun
+from jaxgray.diagnosis.model.held_out_gain import gain_of
 
 FLOOR, NAMES, SAMPLES = np.array([0.1]), ("y1",), 4000
 

@@ -20,7 +20,7 @@ from found import (
 from independent import smooth_noise
 
 import jaxgray
-from jaxgray.diagnosis import routes
+from jaxgray.diagnosis import routing as routes
 from jaxgray.identification.validation import residual_test
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from found import check_found, diagnosed
 
-from jaxgray.diagnosis.imitation import _left
+from jaxgray.diagnosis.starts.force_matching import _left
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Scales
 

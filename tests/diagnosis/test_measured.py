@@ -11,10 +11,10 @@ from hidden_laws import Effect
 from hidden_simulation import System
 
 import jaxgray
-from jaxgray.diagnosis.force_result import force_diagnosis
-from jaxgray.diagnosis.force_search import search_forces
-from jaxgray.diagnosis.routes import is_single_sine, is_static, route_of
-from jaxgray.diagnosis.static_route import static_diagnosis
+from jaxgray.diagnosis.conclusions.equation_error import force_diagnosis
+from jaxgray.diagnosis.conclusions.static_gain import static_diagnosis
+from jaxgray.diagnosis.equation_error.without_unmeasured_forces import search_forces
+from jaxgray.diagnosis.routing import is_single_sine, is_static, route_of
 from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import CATALOGUE, by_id
 from jaxgray.numerics.progress import Silent

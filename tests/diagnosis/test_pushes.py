@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from jaxgray.diagnosis.pushes import _brief
+from jaxgray.diagnosis.equation_error.unmeasured_forces import _brief
 
 
 def stretches(rows, size):

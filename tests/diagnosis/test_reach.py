@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxgray import Record, diagnose
-from jaxgray.diagnosis.reach import beyond_the_fit
+from jaxgray.diagnosis.data_checks.extrapolation import beyond_the_fit
 
 
 def record(*ranges):

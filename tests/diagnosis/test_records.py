@@ -10,7 +10,7 @@ from hidden_laws import Effect
 from hidden_simulation import System
 
 import jaxgray
-from jaxgray.diagnosis.late_outliers import standing_out
+from jaxgray.diagnosis.data_checks.residual_outliers import standing_out
 
 
 def test_encoders_may_count_from_another_zero_in_every_record():

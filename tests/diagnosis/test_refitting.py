@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 from found import diagnosed, hidden_case, model_findings
 
-from jaxgray.diagnosis import bench
-from jaxgray.diagnosis.extension import _Step
+from jaxgray.diagnosis.estimation import context as bench
+from jaxgray.diagnosis.estimation.gauss_newton import _Step
 from jaxgray.identification.structure import Structure
 from jaxgray.numerics import side_by_side
 

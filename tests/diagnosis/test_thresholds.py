@@ -11,14 +11,14 @@ from hidden_laws import Effect
 from hidden_simulation import System
 
 import jaxgray
-from jaxgray.diagnosis import growth as growing
-from jaxgray.diagnosis.assembly import estimates_of
-from jaxgray.diagnosis.bench import chain_of
-from jaxgray.diagnosis.extension import refit
-from jaxgray.diagnosis.grown import Accepted
-from jaxgray.diagnosis.pruning import prune
-from jaxgray.diagnosis.refitting import Attempt
-from jaxgray.diagnosis.thresholds import elements_of
+from jaxgray.diagnosis.conclusions.assembly import estimates_of
+from jaxgray.diagnosis.estimation.context import chain_of
+from jaxgray.diagnosis.estimation.element_sums import elements_of
+from jaxgray.diagnosis.estimation.gauss_newton import refit
+from jaxgray.diagnosis.estimation.multistart import Attempt
+from jaxgray.diagnosis.search import forward as growing
+from jaxgray.diagnosis.search.backward import prune
+from jaxgray.diagnosis.search.state import Accepted
 from jaxgray.mechanics.effects import CATALOGUE, by_id
 from jaxgray.mechanics.effects.base import Place, Term
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxgray
-from jaxgray.diagnosis.assembly import estimates_of
+from jaxgray.diagnosis.conclusions.assembly import estimates_of
 from jaxgray.mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term, places_of
 from jaxgray.mechanics.units import composed_unit
 

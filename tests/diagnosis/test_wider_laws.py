@@ -9,13 +9,13 @@ import pytest
 from found import check_found, diagnosed
 
 import jaxgray
-from jaxgray.diagnosis import growth as growing
-from jaxgray.diagnosis.bench import chain_of
-from jaxgray.diagnosis.extension import refit
-from jaxgray.diagnosis.grown import Accepted
-from jaxgray.diagnosis.judgement import at_bound
-from jaxgray.diagnosis.pruning import prune
-from jaxgray.diagnosis.refitting import Attempt
+from jaxgray.diagnosis.estimation.context import chain_of
+from jaxgray.diagnosis.estimation.gauss_newton import refit
+from jaxgray.diagnosis.estimation.multistart import Attempt
+from jaxgray.diagnosis.estimation.significance import at_bound
+from jaxgray.diagnosis.search import forward as growing
+from jaxgray.diagnosis.search.backward import prune
+from jaxgray.diagnosis.search.state import Accepted
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Term
 

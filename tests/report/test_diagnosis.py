@@ -9,8 +9,8 @@ import pytest
 from made_diagnosis import FRICTION, GAIN, diagnosis, equivalent, experiment, nothing, wrong_numbers
 from rich.console import Console
 
-from jaxgray.diagnosis.result import Estimate, Finding, ParameterShift
-from jaxgray.diagnosis.titles import NAMES, place_of, title_of, value_text
+from jaxgray.diagnosis.findings import Estimate, Finding, ParameterShift
+from jaxgray.diagnosis.words.titles import NAMES, place_of, title_of, value_text
 from jaxgray.mechanics.effects import CATALOGUE, MODEL_ERRORS, RECORD_FINDINGS
 from jaxgray.report.catalogue import catalogue_document, show_catalogue, unit_pattern
 from jaxgray.report.diagnosis_figures import extension

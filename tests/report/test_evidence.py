@@ -9,9 +9,9 @@ from independent import REFERENCE, REFERENCE_TIME, random_steps, simulate, smoot
 from made_diagnosis import diagnosis, equivalent, nothing
 
 from jaxgray import MechanicalModel, Record, stabilisation
-from jaxgray.diagnosis.missing_force import missing_forces
-from jaxgray.diagnosis.result import Curves, Estimate, Finding, Member, ModelSummary
-from jaxgray.diagnosis.spectra import spectra
+from jaxgray.diagnosis.conclusions.missing_force import missing_forces
+from jaxgray.diagnosis.conclusions.spectra import spectra
+from jaxgray.diagnosis.findings import Curves, Estimate, Finding, Member, ModelSummary
 from jaxgray.mechanics.effects import Place, Term, by_id
 from jaxgray.report import diagnosis_figures, modal_figures
 from jaxgray.report.binning import binned, decided_by

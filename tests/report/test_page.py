@@ -10,7 +10,7 @@ import pytest
 from made_diagnosis import diagnosis, equivalent, model, nothing, wrong_numbers
 
 import jaxgray
-from jaxgray.diagnosis.result import Gain
+from jaxgray.diagnosis.findings import Gain
 from jaxgray.report import page, page_parts
 from jaxgray.report.diagnosis_rows import candidate_rows, candidates, in_words
 from jaxgray.report.diagnosis_summary import diagnosis_document

@@ -1,0 +1,205 @@
+"""From a search in the force equation to a `Diagnosis`."""
+
+import dataclasses
+
+import numpy as np
+
+from ...identification import Identification
+from ...identification.validation import fit_of
+from ...mechanics.effects.base import Term
+from ...records import Record
+from ..data_checks.record_findings import noise_findings
+from ..equation_error.library import Scores
+from ..equation_error.regression import ForceFit
+from ..equation_error.search import Search
+from ..equation_error.unmeasured_forces import warnings_of
+from ..findings import Curves, Finding, Member, ModelSummary, NotFound
+from ..model.free_run import FreeRun, overall, rms_of
+from ..model.held_out_gain import gain_of
+from ..noise.whitening import white_part
+from ..result import Diagnosis
+from ..settings import GATE
+from .assembly import estimates_of, shifts_of
+
+FAR = 10.0
+"""Error over windows in units of the measurement's noise from which it is unexplained where nothing was found."""
+
+
+def force_diagnosis(search: Search, identification: Identification | None) -> Diagnosis:
+    """What a search in the force equation found, as a `Diagnosis`.
+
+    **Arguments:** `search`; `identification`: the linear fit, None where there was none.
+
+    **Returns:** a `Diagnosis` whose fits and errors are those of free runs over short windows.
+    """
+    record, held = search.records[0], search.held
+    names = record.output_names
+    floor = rms_of(search.runs[0])
+    window = search.windows.samples * record.sampling_time
+    source = f"residual of the final model over windows of {window:.3g} s"
+    quiet = np.sqrt(white_part(np.nan_to_num(record.y), np.isfinite(record.y)))
+    lost = not search.taken and bool(np.any(floor > FAR * quiet))
+    if lost:
+        floor, source = np.maximum(quiet, 1e-300), "fast part of the measured motion"
+    findings = [_finding(search, k) for k in range(len(search.taken))]
+    extended = gain = None
+    shifts = ()
+    if search.taken:
+        extended = _summary(search, search.fit, search.runs)
+        errors = dict(zip(("mass", "damping", "stiffness"), search.fit.errors))
+        shifts = shifts_of(search.model(search.base), search.model(search.fit), errors)
+        before, after = (x[1] or x[0] for x in (search.base_runs, search.runs))
+        if len(search.taken) == 1:
+            # The same, from the same draws: one finding must not have two intervals.
+            gain = search.taken[0].gain
+        else:
+            gain = gain_of(before, after, before, floor, names, held_out=bool(held), rng=search.rng)
+    verdict = "noise"
+    if lost or (search.strong and findings):
+        verdict = "partly" if findings else "unexplained"
+    elif findings:
+        verdict = "equivalent" if any(f.status == "equivalent" for f in findings) else "named"
+    if verdict == "unexplained":
+        findings.append(Finding("unexplained", names[0], "unexplained", "model", (), {}, None, None))
+    errors = search.error(search.base), search.error(search.fit)
+    warnings = (
+        "No free run over the whole record is usable: decided in the force equation below "
+        f"{search.equation.series[0].cutoff_hz:.3g} Hz; fits and errors are those of free runs over windows of "
+        f"{window:.3g} s, the first state of each estimated.",
+        f"Relative force error where it moves: {errors[0]:.3g} before, {errors[1]:.3g} after.",
+        *warnings_of(search.pushes, [*search.records, *held], search.model(search.fit)),
+    )
+    noise = noise_findings(record, _padded(search.runs[0][0].e, record))
+    return Diagnosis(
+        verdict=verdict,
+        baseline=_summary(search, search.base, search.base_runs),
+        noise_floor=dict(zip(names, map(float, floor))),
+        noise_floor_source=source,
+        findings=noise + tuple(findings),
+        extended=extended,
+        gain=gain,
+        excess=overall(rms_of(search.runs[0]), floor),
+        baseline_excess=overall(rms_of(search.base_runs[0]), floor),
+        white=False,
+        explainable=None,
+        depends_on=_depends_on(search.scores) if verdict in ("partly", "unexplained") else (),
+        rejected=tuple(search.rejected),
+        not_found=_not_found(search, record),
+        shifts=shifts,
+        budget=_budget(search),
+        next_experiment=None,
+        warnings=warnings,
+        records=tuple(search.records),
+        validation_records=tuple(held),
+        curves=_curves(search),
+        identification=identification,
+        terms=search.fit.terms,
+        own_model=False,
+    )
+
+
+def _padded(e: np.ndarray, record: Record) -> np.ndarray:
+    """A residual over windows with zeros for what is left of the record."""
+    return np.concatenate([e, np.zeros((record.samples - len(e), e.shape[1]))])
+
+
+def _finding(search: Search, index: int) -> Finding:
+    taken = search.taken[index]
+    record = search.records[0]
+    members = [_member(search.fit, index, record, 0.0)]
+    if shared := _shared(search, index):
+        own = {name: value for name, value in members[0].parameters.items() if name not in shared}
+        members[0] = dataclasses.replace(members[0], parameters=own)
+    for rival in taken.rivals:
+        members.append(_member(rival.fit, -1, record, min(rival.delta_bic - taken.trial.delta_bic, 0.0)))
+    status = "named" if len(members) == 1 else "equivalent"
+    for one, difference in taken.stood_in:
+        members.append(_member(one.fit, -1, record, min(difference, 0.0)))
+    before = search.taken[index - 1].error if index else search.error(search.base)
+    return Finding(
+        *taken.trial.name,
+        status,
+        "model",
+        tuple(members),
+        members[0].parameters,
+        taken.trial.delta_bic,
+        taken.gain,
+        f"Relative force error {before:.3g} before, {taken.error:.3g} after."
+        + (f" {', '.join(shared)} is that of the finding before." if shared else ""),
+    )
+
+
+def _shared(search: Search, index: int) -> list[str]:
+    """Parameters of a law that an earlier finding has in the model already."""
+    term, moving = search.fit.terms[index], search.fit.moving[index]
+    return [p.name for j, p in enumerate(term.effect.parameters) if p.amplitude and j not in moving]
+
+
+def _member(fit: ForceFit, index: int, record: Record, difference: float) -> Member:
+    index %= len(fit.terms)
+    term = fit.terms[index]
+    parameters = estimates_of(term, fit.term_errors(index), record)
+    return Member(term.effect.id, term.place.name, float(difference), parameters)
+
+
+def _summary(search: Search, fit: ForceFit, runs: tuple[list[FreeRun], list[FreeRun]]) -> ModelSummary:
+    model = search.model(fit)
+    fits = {}
+    for kind, records, made in zip(("estimation", "validation"), (search.records, search.held), runs):
+        if records:
+            counted = [np.where(run.kept, r.y[: len(run.kept)], np.nan) for r, run in zip(records, made)]
+            measured = np.concatenate(counted)
+            fits[kind] = fit_of(measured, np.concatenate([run.simulated for run in made]))
+    per_output = [
+        {kind: dict(zip(model.output_names, map(float, getattr(f, name)))) for kind, f in fits.items()}
+        for name in ("fit_percent", "rmse")
+    ]
+    return ModelSummary(model, dict(zip(("mass", "damping", "stiffness"), fit.errors)), *per_output)
+
+
+def _not_found(search: Search, record: Record) -> tuple[NotFound, ...]:
+    result = []
+    for (effect, place), one in search.scores.best_by_place().items():
+        if one.delta_bic >= GATE:
+            continue
+        shape = one.shape
+        values = np.array(shape.values, float)
+        amplitudes = [j for j, p in enumerate(shape.effect.parameters) if p.amplitude]
+        values[amplitudes] = np.abs(values[amplitudes]) * one.smallest
+        sizes = estimates_of(Term(shape.effect, shape.place, values), {}, record)
+        names = [shape.effect.parameters[j].name for j in amplitudes] or list(sizes)
+        result.append(NotFound(effect, place, {name: sizes[name] for name in names}))
+    return tuple(result)
+
+
+def _depends_on(scores: Scores) -> tuple[str, ...]:
+    families = {"stiffness": "displacement", "friction": "velocity", "hysteresis": "the history of displacement"}
+    words = []
+    for (_, place), one in list(scores.best_by_place().items())[:3]:
+        if one.delta_bic > 0:
+            words.append(f"{families.get(one.shape.effect.family, one.shape.effect.family)} ({place})")
+    return tuple(dict.fromkeys(words))
+
+
+def _budget(search: Search) -> dict[str, float]:
+    """Shares in the power of the force that the linear model leaves, in percent."""
+    before = search.error(search.base) ** 2
+    shares, last = {}, before
+    for taken in search.taken:
+        shares[" at ".join(taken.trial.name)] = 100 * (last - taken.error**2) / before
+        last = taken.error**2
+    rest = 100 * last / before
+    return {**shares, "noise": 0.0 if search.strong else rest, "unexplained": rest if search.strong else 0.0}
+
+
+def _curves(search: Search) -> tuple[Curves, ...]:
+    result = []
+    for held_out, records in enumerate((search.records, search.held)):
+        for k, record in enumerate(records):
+            # Windows that do not count are not drawn: the worst of all would be one that something else pushed.
+            before, after = (
+                np.where(x[held_out][k].kept, x[held_out][k].simulated, np.nan) for x in (search.base_runs, search.runs)
+            )
+            cut = len(before)
+            result.append(Curves(record.time[:cut], record.y[:cut], before, after, bool(held_out)))
+    return tuple(result)

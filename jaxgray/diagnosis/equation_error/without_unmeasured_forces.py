@@ -1,0 +1,70 @@
+"""The search in the force equation, told apart from forces that are not among the inputs."""
+
+import numpy as np
+
+from ...mechanics.drives import AbstractDrive
+from ...mechanics.effects.base import AbstractEffect
+from ...numerics.outcomes import ComputationError
+from ...numerics.progress import AbstractProgress
+from ...records import Record
+from .rows import series_of
+from .search import Search, search_once
+from .unmeasured_forces import Push, jerks_of, pushes_of
+
+PASSES = 3
+"""Times that forces beside the inputs are looked for in what is left."""
+
+
+def search_forces(
+    records: list[Record],
+    held: list[Record],
+    drive: AbstractDrive,
+    catalogue: tuple[AbstractEffect, ...],
+    max_effects: int,
+    *,
+    rng: np.random.Generator,
+    progress: AbstractProgress,
+) -> Search:
+    """Add laws to the force equation until nothing more is found, without what pushes besides the inputs.
+
+    **Arguments:** `records`, `held`: to fit, and to judge; `drive`: forces; `catalogue`; `max_effects`; `rng`: of the
+    resampling; `progress`.
+
+    **Returns:** a `Search`.
+
+    **Raises:** `ComputationError` where the force equation has no solution of positive mass.
+    """
+    arguments = records, held, drive, catalogue, max_effects
+    search = _without_pushes(*arguments, (), rng, progress)
+    if search.taken or search.pushes:
+        return search
+    suspects = jerks_of(search.windows.series)
+    if suspects:
+        # One among the data of the fit may spoil the fit in which it would show.
+        try:
+            without = search_once(*arguments, suspects, rng, progress)
+        except ComputationError:
+            return search
+        found = _seen_by(without)
+        if without.taken and found:
+            return _without_pushes(*arguments, found, rng, progress)
+    return search
+
+
+def _without_pushes(records, held, drive, catalogue, max_effects, pushes, rng, progress) -> Search:
+    """Search, look for pushes in what is left, and search again without them; some may be known."""
+    for _ in range(PASSES):
+        search = search_once(records, held, drive, catalogue, max_effects, pushes, rng, progress)
+        # The largest hide the others.
+        more = pushes_of(search.fit, search.windows.series, search.equation.input_map)
+        if not more:
+            break
+        pushes += more
+    return search
+
+
+def _seen_by(search: Search) -> tuple[Push, ...]:
+    """Pushes that a fit sees in the whole of its records, what was left out included."""
+    cutoff = search.windows.series[0].cutoff_hz
+    series = [series_of(r, cutoff, at_rest=True) for r in search.records + search.held]
+    return pushes_of(search.fit, series, search.equation.input_map)

@@ -1,0 +1,161 @@
+"""When something changed at once: how a refit finds the moment of a jump."""
+
+import numpy as np
+
+from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractOutputEffect, Scales, Term
+from ..model.candidate import Candidate
+from ..noise.whitening import Chain, counted
+from .context import Bench, chain_of
+from .gauss_newton import Refit
+from .normal_equations import weighted
+from .profile_scan import from_other_values, products_of
+
+FINER = 8
+"""Moments looked at for every one that a law is begun with."""
+
+SURE = 1.0
+"""Difference in N ln cost from which another moment is the better one: each is refitted to its end."""
+
+CLOSER = 8
+"""Those of them around which it is looked at more closely."""
+
+FINEST = 24
+"""Moments that are looked at around each."""
+
+LOCAL = 12.0
+"""Standard errors by the curvature within which the likelihood is looked at most closely."""
+
+THREE = 3.0
+"""Standard errors at which an interval is compared with that of a likelihood without kinks."""
+
+
+def softened(term: Term, scales: Scales) -> list[Term]:
+    """The terms to refit one after the other: a sudden change first smeared over the distance between the times that
+    were tried, since only the samples inside its edge can tell where it belongs."""
+    names = [p.name for p in term.effect.parameters]
+    if "width" not in names or len(scales.times) < 2:
+        return [term]
+    spacing = scales.times[1] - scales.times[0]
+    result = []
+    for width in (2 * spacing, spacing / 2, spacing / 8, scales.sampling_time):
+        values = np.array(term.values, float)
+        values[names.index("width")] = width
+        result.append(Term(term.effect, term.place, values))
+    return result
+
+
+def width_of(term: Term) -> float:
+    """Over how long [s] the jump of a term is smeared, 0 where there is none."""
+    names = [p.name for p in term.effect.parameters]
+    return float(term.values[names.index("width")]) if "width" in names else 0.0
+
+
+def dated(bench: Bench, candidate: Candidate, chain: Chain, span: float) -> Candidate:
+    """A candidate with the jump of its last term at the moment that leaves the least of the first record.
+
+    While nothing moves, no gradient leads there. Only jumps of the outputs, whose free run costs next to nothing; other
+    candidates come back as they are.
+
+    **Arguments:** `bench`; `candidate`; `chain` by which the residual is whitened; `span` [s]: how far from where it is
+    the moment is looked for, in steps of half of the term's width or a sample.
+
+    **Returns:** a `Candidate`; nothing but the moment differs.
+    """
+    term = candidate.terms[-1]
+    names = [p.name for p in term.effect.parameters]
+    if not isinstance(term.effect, AbstractOutputEffect) or not {"t0", "width"} <= set(names):
+        return candidate
+    data, at = bench.data[0], names.index("t0")
+    step = max(width_of(term) / 2, data.sampling_time)
+    count = int(span / step)
+    end = data.samples * data.sampling_time
+    times = np.clip(float(term.values[at]) + step * np.arange(-count, count + 1), 0.0, end)
+    found = []
+    for time in times:
+        values = np.array(term.values, float)
+        values[at] = time
+        found.append(candidate.with_terms((*candidate.terms[:-1], Term(term.effect, term.place, values))))
+    left = [np.where(data.kept, data.y - bench.simulator.run(one, data), 0.0) for one in found]
+    costs = np.sum(weighted(chain, np.stack(left, axis=2), data.kept) ** 2, axis=0)
+    return found[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
+
+
+def from_other_moments(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+    """A refit whose last term is a force that begins at once, or a better one from another moment.
+
+    What rings after the step draws a refit to the nearest moment at which it rings alike.
+
+    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law has no such moment; `max_steps`,
+    `tolerance`: of the refits.
+    """
+    effect = fit.candidate.terms[-1].effect
+    at = _moment_of(effect)
+    if at is None:
+        return fit
+
+    def chosen(fit: Refit, chain: Chain) -> list[np.ndarray]:
+        tried, shares, weights = _looked(bench, fit.candidate, chain, at)
+        k = int(np.argmax(shares))
+        return [effect.bounded(effect.combine(tried[k], weights[k]))] if np.isfinite(shares[k]) else []
+
+    return from_other_values(bench, fit, chosen, max_steps=max_steps, tolerance=tolerance, worth=SURE)
+
+
+def moment_errors(bench: Bench, fit: Refit, index: int, errors: dict[int, float]) -> dict[int, float]:
+    """Standard error of the moment at which the force of a term begins, by its position; empty for other terms.
+
+    The likelihood has a kink at every sample and a hill for every period of what rings: its curvature says little, so
+    that a third of the farthest distance at which it is what it is three standard errors from the best stands for one.
+
+    **Arguments:** `bench`; `fit`; `index` of the term; `errors`: standard errors by the curvature alone, by position.
+
+    **Reference:** Siegmund, Int. Stat. Rev. 56 (1988) 31-48.
+    """
+    terms = fit.candidate.terms
+    at = _moment_of(terms[index].effect)
+    local = errors.get(at, 0.0)
+    if at is None or not local > 0:
+        return {}
+    last = fit.candidate.with_terms((*terms[:index], *terms[index + 1 :], terms[index]))
+    here, chain = float(terms[index].values[at]), chain_of(bench, fit)
+    near = here + LOCAL * local * np.linspace(-1, 1, 2 * FINEST)
+    found = [_looked(bench, last, chain, at), _scored(bench, last, chain, at, lambda _: near)]
+    times = np.concatenate([tried[:, at] for tried, *_ in found])
+    left = np.log1p(-np.maximum(np.concatenate([shares for _, shares, _ in found]), 0.0))
+    rows = int(counted(bench.data[0].kept).sum())
+    alike = rows * (left - left.min()) < THREE**2
+    return {at: max(local, float(np.max(np.abs(times[alike] - here))) / THREE)}
+
+
+def _moment_of(effect: AbstractEffect) -> int | None:
+    """Position of the moment at which a force begins; None for other laws."""
+    names = [p.name for p in effect.parameters]
+    sudden = isinstance(effect, AbstractForceEffect) and {"t0", "width"} <= set(names)
+    return names.index("t0") if sudden else None
+
+
+def _looked(bench: Bench, candidate: Candidate, chain: Chain, at: int) -> tuple[np.ndarray, np.ndarray, list]:
+    """As `_scored`, all over the record, and more closely where most is explained."""
+    tried, shares, _ = _scored(bench, candidate, chain, at, lambda t: np.linspace(t[0], t[-1], len(t) * FINER))
+    best, spacing = tried[np.argsort(-shares)[:CLOSER], at], tried[1, at] - tried[0, at]
+    around = best[:, None] + spacing * np.linspace(-0.5, 0.5, FINEST)
+    return _scored(bench, candidate, chain, at, lambda _: around.ravel())
+
+
+def _scored(bench: Bench, candidate: Candidate, chain: Chain, at: int, moments):
+    """Values of the last term at many moments, what each explains, and the weights of its basis."""
+
+    def rows(begun: np.ndarray) -> np.ndarray:
+        times = moments(begun[:, at])
+        values = np.tile(np.array(candidate.terms[-1].values, dtype=float), (len(times), 1))
+        values[:, at] = np.clip(times, 0.0, bench.data[0].samples * bench.data[0].sampling_time)
+        return values
+
+    products, tried = products_of(bench, candidate, chain, rows)
+    columns = np.arange(len(products.X)).reshape(len(tried), -1)
+    gains, weights = np.full(len(tried), -np.inf), [None] * len(tried)
+    for k, own in enumerate(columns):
+        dense = products.among(own)
+        if np.all(dense.visible(np.arange(len(own)))) and np.all(products.finite[own]):
+            gains[k], weights[k] = dense.taken(np.arange(len(own)))
+    return tried, gains, weights

@@ -1,0 +1,75 @@
+"""What the loop of a diagnosis works with."""
+
+import dataclasses
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from ...mechanics.effects.base import AbstractEffect
+from ...numerics.progress import AbstractProgress
+from ..model.candidate import Data
+from ..model.simulator import Simulator
+from ..noise.whitening import Chain, estimate_chain
+from ..screening.linearization import sampled_plant
+from .gauss_newton import Refit
+
+if TYPE_CHECKING:
+    from ..equation_error.search import Search
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What the loop works with.
+
+    `simulator`; `data` of estimation and of validation; `catalogue`; `names` of inputs and outputs; `held`: entries
+    that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
+    of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
+    `forces`: gives what the force equation finds (None where it has no solution), where it may be asked;
+    `out_of_step`: whether the free run is of no use unless that brings it into step.
+    """
+
+    simulator: Simulator
+    data: list[Data]
+    validation: list[Data]
+    catalogue: tuple[AbstractEffect, ...]
+    names: tuple[tuple[str, ...], tuple[str, ...]]
+    held: np.ndarray
+    floor: np.ndarray | None
+    separate: bool
+    rng: np.random.Generator
+    progress: AbstractProgress
+    identified: "Identified | None" = None
+    forces: "Callable[[], Search | None] | None" = None
+    out_of_step: bool = False
+
+
+_chains: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKeyDictionary()
+
+
+def chain_of(bench: Bench, fit: Refit) -> Chain:
+    """The whitening chain of what a refit leaves of the first record; estimated once, however often it is asked for."""
+    data, known = bench.data[0], _chains.get(fit)
+    if known is None or known[0] is not data:
+        _chains[fit] = known = data, _estimated(bench, fit, data)
+    return known[1]
+
+
+def _estimated(bench: Bench, fit: Refit, data: Data) -> Chain:
+    plant = bench.simulator.plant(fit.candidate)
+    system = sampled_plant(plant, data, bench.simulator.setup.dofs)
+    force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
+    return estimate_chain(fit.residual[0], data.kept, system, force)
+
+
+@dataclasses.dataclass(frozen=True)
+class Identified:
+    """`entries`: joined blocks θ̂ of the identified M, D, K; `x0`: first states; `information`: H of the entries, first
+    states and laws taken out."""
+
+    entries: Float[np.ndarray, " entries"]
+    x0: tuple[Float[np.ndarray, " states"], ...]
+    information: Float[np.ndarray, "entries entries"]

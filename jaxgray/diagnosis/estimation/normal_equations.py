@@ -1,0 +1,82 @@
+"""Normal equations of a refit: whitened residuals and sensitivities of all records, as products."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.candidate import Candidate, Data
+from ..model.simulator import Simulator
+from ..noise.whitening import SETTLING, Chain, counted
+
+if TYPE_CHECKING:
+    from ..model.parameter_vector import Layout
+
+
+AHEAD = 0.1
+"""Share of a step after which the bend of a valley is measured."""
+
+LARGEST = 1e50
+"""Whitened values from which a residual or a sensitivity has no products to speak of."""
+
+
+def weighted(chain: Chain, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Whitened columns of the samples that count, as a matrix samples·outputs × columns."""
+    return chain.whiten_rows(np.moveaxis(X, 2, 0), kept, counted(kept)).reshape(X.shape[2], -1).T
+
+
+class Equations:
+    """Called with a candidate: information H = JᵀJ, gradient g = −Jᵀe, cost eᵀe and count of the whitened samples, then
+    residuals e (samples × outputs) and Jacobians J of the outputs (by that record's parameters) of every record as they
+    are; None where it overflows.
+
+    The chain does not count the first samples, of which it has no past, but these tell most of the first state, and
+    after a rest in dry friction all of it: they enter as they are, in units of the chain's level.
+    """
+
+    def __init__(self, simulator: Simulator, data: list[Data], chain: Chain, layout: "Layout"):
+        self.simulator, self.data, self.chain, self.layout = simulator, data, chain, layout
+
+    def __call__(self, candidate: Candidate):
+        runs = [self.simulator.run_and_jacobian(candidate, d, k) for k, d in enumerate(self.data)]
+        residuals = [np.where(d.kept, d.y - y, 0.0) for d, (y, _) in zip(self.data, runs)]
+        if not all(np.all(np.isfinite(e)) and np.all(np.isfinite(J)) for e, (_, J) in zip(residuals, runs)):
+            return None
+        H, g, cost, count = 0.0, 0.0, 0.0, 0
+        for k, d in enumerate(self.data):
+            both = self._rows(runs[k][1], residuals[k], d)
+            if not np.max(np.abs(both)) <= LARGEST:
+                return None
+            table = self.layout.widened(both[None, :, :-1], k)[0]
+            H = H + table.T @ table
+            g = g - table.T @ both[:, -1]
+            cost += float(both[:, -1] @ both[:, -1])
+            count += int(counted(d.kept).sum() + d.kept[: self._head(d)].sum())
+        return H, g, cost, count, tuple(residuals), tuple(J for _, J in runs)
+
+    @staticmethod
+    def _head(data: Data) -> int:
+        return min(SETTLING, len(data.kept) // 4)
+
+    def _rows(self, J: np.ndarray, e: np.ndarray, data: Data) -> np.ndarray:
+        """Whitened columns of a Jacobian and a residual, the first samples as they are."""
+        both, head = np.concatenate([J, e[:, :, None]], axis=2), self._head(data)
+        first = np.where(data.kept[:head, :, None], both[:head] / self.chain.level[:, None], 0.0)
+        return np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.chain, both, data.kept)])
+
+    def bend(self, theta: np.ndarray, candidate: Candidate, change: np.ndarray, now) -> np.ndarray | None:
+        """Minus half of Jᵀ times the second derivative of the outputs along a step, by a finite difference.
+
+        **Arguments:** `theta`: the parameters of `candidate`, where the step begins; `change`: the step; `now`: what
+        a call gave there.
+
+        **Returns:** the product, one number per parameter, or None where a part of the step overflows.
+        """
+        H, g, jacobians, slope = now[0], now[1], now[5], 0.0
+        ahead = self.layout.candidate(self.layout.moved(theta, AHEAD * change, candidate), candidate)
+        for k, d in enumerate(self.data):
+            e = np.where(d.kept, d.y - self.simulator.run(ahead, d, k), 0.0)
+            if not np.max(np.abs(e)) <= LARGEST:
+                return None
+            both = self._rows(jacobians[k], e, d)
+            slope = slope + self.layout.widened(both[None, :, :-1], k)[0].T @ both[:, -1]
+        return (slope + g + AHEAD * (H @ change)) / AHEAD**2

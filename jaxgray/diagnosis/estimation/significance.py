@@ -1,0 +1,88 @@
+"""How sure a parameter is: evidence, size in standard errors, bounds."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ...identification.conic import pseudo_inverse
+from ..model.candidate import Data
+from ..model.parameter_vector import Layout
+from ..noise.whitening import Chain, counted
+from .gauss_newton import Refit
+from .normal_equations import LARGEST, weighted
+
+NUDGE = 1e-6
+"""Relative change by which a parameter is moved to see whether a bound is in the way."""
+
+
+def evidence(
+    e: Float[np.ndarray, "samples outputs"],
+    J: Float[np.ndarray, "samples outputs parameters"],
+    data: Data,
+    chain: Chain,
+) -> tuple[float, int]:
+    """Sum of squares of a residual under a chain, re-optimised to first order along J (infinite where these are all but
+    overflowing), and how many samples count."""
+    white = weighted(chain, np.concatenate([J, e[:, :, None]], axis=2), data.kept)
+    count = int(counted(data.kept).sum())
+    if not np.max(np.abs(white)) <= LARGEST:
+        return np.inf, count
+    J, e = white[:, :-1], white[:, -1]
+    g = J.T @ e
+    return float(e @ e - g @ pseudo_inverse(J.T @ J) @ g), count
+
+
+def significance(fit: Refit, layout: Layout, term: int, *, given_shape: bool = False) -> float:
+    """How far the amplitudes of one term are from nothing, in standard errors: the largest |β|/se, or all of them
+    together where laws with several share what they explain (Wald's statistic as a normal one, Wilson & Hilferty).
+
+    `given_shape`: with the rest of its parameters as they are. Nothing has no shape (Davies, Biometrika 74 (1987)
+    33-43): whether there is something at all, errors that an amplitude has for its shape alone do not tell.
+    """
+    at, values, shape = [], [], []
+    for position, (k, j) in enumerate(layout.terms):
+        if k == term and fit.candidate.terms[k].effect.parameters[j].amplitude:
+            at.append(layout.first + position)
+            values.append(float(fit.candidate.terms[k].values[j]))
+        elif k == term:
+            shape.append(layout.first + position)
+    if not any(p.amplitude and p.counts for p in fit.candidate.terms[term].effect.parameters):
+        return np.inf
+    known = np.diag(fit.covariance)[at] > 0
+    if not known.any():
+        return 0.0
+    at, values = np.array(at)[known], np.array(values)[known]
+    covariance = fit.covariance[np.ix_(at, at)]
+    if given_shape and shape:
+        across = fit.covariance[np.ix_(at, shape)]
+        covariance = covariance - across @ pseudo_inverse(fit.covariance[np.ix_(shape, shape)]) @ across.T
+    errors = np.sqrt(np.diag(covariance))
+    scaled = values / errors
+    best = float(np.max(np.abs(scaled)))
+    if len(at) == 1:
+        return best
+    wald = float(scaled @ pseudo_inverse(covariance / np.outer(errors, errors)) @ scaled)
+    part = 2 / (9 * len(at))
+    return max(best, float((np.cbrt(max(wald, 0.0) / len(at)) - 1 + part) / np.sqrt(part)))
+
+
+def at_bound(fit: Refit, term: int) -> str | None:
+    """The parameter of a term that lies at a physical bound, None where none does.
+
+    What a simpler law at the same place has taken upon itself is no bound of the wider one: their sum is inside.
+    """
+    own = fit.candidate.terms[term]
+    effect, values = own.effect, np.array(own.values, dtype=float)
+    inside = [t.effect for t in fit.candidate.terms if t.place == own.place and t.effect.id in effect.contains]
+    taken = {parameter.name for simpler in inside for parameter in simpler.parameters}
+    for k, parameter in enumerate(effect.parameters):
+        if not parameter.counts or not (np.isfinite(parameter.lower) or np.isfinite(parameter.upper)):
+            continue
+        if parameter.name in taken:
+            continue
+        for change in (-NUDGE, NUDGE):
+            beyond = values.copy()
+            beyond[k] += change * max(abs(values[k]), 1e-300)
+            held = effect.bounded(beyond)[k]
+            if abs(held - beyond[k]) >= 0.5 * abs(beyond[k] - values[k]) > 0:
+                return parameter.name
+    return None

@@ -1,0 +1,194 @@
+"""What a diagnosis consists of: findings, gains, summaries and curves, as immutable values."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from ..identification import Identification
+from ..mechanics.effects.base import Term
+from ..mechanics.model import MechanicalModel
+from ..records import Record
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard error and unit; a list of values for parameters that come as a list."""
+
+    value: float | tuple[float, ...] | str
+    standard_error: float | tuple[float, ...] | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a finding takes off the free-run error.
+
+    `per_output`: name → (rmse before, rmse after); `percent` = 100 (RMSE before − after)/RMSE of the baseline, RMSE
+    over all outputs in units of their noise floors; `ci95`: of the gain on other records of the kind, by the jackknife
+    over long pieces and its difference to that on the data of the fit; `ci99_lower`: of the gain on this one, by block
+    bootstrap; `held_out`: whether the fit had not seen the data.
+    """
+
+    per_output: dict[str, tuple[float, float]]
+    percent: float
+    ci95: tuple[float, float]
+    ci99_lower: float
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class Member:
+    """One of a class that the record does not separate; `delta_bic` relative to the best (0 or less)."""
+
+    effect: str
+    location: str
+    delta_bic: float
+    parameters: dict[str, Estimate]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that the simulation gets wrong.
+
+    `effect`, `location`; `status`: named, equivalent, partly or unexplained; `stage`: "model", or "record" for what
+    the raw record shows; `members`: the class, the named one first; `parameters` by symbol; `delta_bic` of the refit;
+    `gain`; `message`: one sentence.
+    """
+
+    effect: str
+    location: str
+    status: str
+    stage: str
+    members: tuple[Member, ...]
+    parameters: dict[str, Estimate]
+    delta_bic: float | None
+    gain: Gain | None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A candidate that passed the gate and was not taken; `gain` and `parameters` of its refit, where there was one."""
+
+    effect: str
+    location: str
+    delta_bic: float
+    why: str
+    gain: Gain | None = None
+    parameters: dict[str, Estimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Gated:
+    """A candidate at the first look: its evidence by a linear response to the simulated motion."""
+
+    effect: str
+    location: str
+    delta_bic: float
+
+
+@dataclass(frozen=True)
+class NotFound:
+    """A candidate that the record does not call for, with the smallest size that would have been seen."""
+
+    effect: str
+    location: str
+    min_detectable: dict[str, Estimate]
+
+
+@dataclass(frozen=True)
+class ParameterShift:
+    """An entry of M, D, K before and after the extension."""
+
+    name: str
+    before: float
+    after: float
+    standard_error: float | None
+
+    @property
+    def percent(self) -> float:
+        """Change in percent of the value before."""
+        return 100 * (self.after - self.before) / self.before if self.before else float("nan")
+
+
+@dataclass(frozen=True)
+class ModelSummary:
+    """A model with its errors and how well it runs freely.
+
+    `model`; `standard_errors` of mass, damping, stiffness, or None; `fit_percent` and `rmse`: "estimation" and
+    "validation", per output.
+    """
+
+    model: MechanicalModel
+    standard_errors: dict[str, Float[np.ndarray, "dofs dofs"]] | None
+    fit_percent: dict[str, dict[str, float]]
+    rmse: dict[str, dict[str, float]]
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Series behind the figures of one record: outputs measured, simulated by the linear and by the extended model."""
+
+    time: Float[np.ndarray, " samples"]
+    measured: Float[np.ndarray, "samples outputs"]
+    baseline: Float[np.ndarray, "samples outputs"]
+    extended: Float[np.ndarray, "samples outputs"]
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """The input that best separates the members of a class.
+
+    `members`: ids; `input`: samples × inputs; `sampling_time` [s]; `separation`: predicted d²/σ² between the members
+    with this input; `separation_now`: with the record's own; `text`.
+    """
+
+    members: tuple[str, ...]
+    input: Float[np.ndarray, "samples inputs"]
+    sampling_time: float
+    separation: float
+    separation_now: float
+    text: str
+
+
+@dataclass(frozen=True)
+class DiagnosisFields:
+    """What a `Diagnosis` holds.
+
+    `verdict`: the worst over the findings; `baseline`: the linear model (or the user's own); `noise_floor` per output
+    and where it comes from; `findings` in order of acceptance; `extended`: the model with all terms, None where
+    nothing was found; `gain`: of all findings together; `excess`: RMSE over noise floor of what is left; `white`:
+    whether what is left is white; `explainable`: share of the baseline's excess that a flexible competitor could
+    explain on held-out data; `depends_on`: variables on which an unexplained rest depends; `rejected`; `not_found`;
+    `shifts` of M, D, K; `budget`: share of every term, noise and the unexplained in the baseline's mean square error,
+    in percent; `next_experiment`; `warnings`; `curves` for the figures; `identification`: the linear fit, None with
+    the user's own model; `terms` accepted.
+    """
+
+    verdict: str
+    baseline: ModelSummary
+    noise_floor: dict[str, float]
+    noise_floor_source: str
+    findings: tuple[Finding, ...]
+    extended: ModelSummary | None
+    gain: Gain | None
+    excess: float
+    baseline_excess: float
+    white: bool
+    explainable: float | None
+    depends_on: tuple[str, ...]
+    rejected: tuple[Rejected, ...]
+    not_found: tuple[NotFound, ...]
+    shifts: tuple[ParameterShift, ...]
+    budget: dict[str, float]
+    next_experiment: NextExperiment | None
+    warnings: tuple[str, ...]
+    records: tuple[Record, ...] = field(repr=False)
+    validation_records: tuple[Record, ...] = field(repr=False)
+    curves: tuple[Curves, ...] = field(repr=False)
+    identification: Identification | None = field(repr=False)
+    terms: tuple[Term, ...] = ()
+    own_model: bool = False
+    gate: tuple[Gated, ...] = ()

@@ -1,0 +1,10 @@
+"""What is estimated, on what, and its simulation.
+
+candidate         records padded to few sizes, parametrisation, candidate
+parameter_vector  the vector that a refit moves
+simulator         free run and Jacobian of a candidate
+free_run          free run over data with a first state fitted to their head
+held_out_gain     gain of one free run over another, with its interval
+baseline          the model that a diagnosis starts from
+compile_ahead     programs of a diagnosis compiled in a second thread
+"""

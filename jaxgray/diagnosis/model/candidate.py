@@ -1,0 +1,151 @@
+"""What the diagnosis works on: records as padded arrays, and a model with all that may move in it."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...identification.compression import padded_samples
+from ...identification.normal import join, part
+from ...identification.physical import Scaling
+from ...identification.structure import Structure
+from ...mechanics.drives import AbstractDrive, Force
+from ...mechanics.effects.base import Term
+from ...records import Record
+
+LONGER = 4
+"""How many times longer a record may become so that its length is that of another."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """One record, padded with its last input to one of a few lengths so that little is compiled.
+
+    `u`, `y` (zero where missing), `kept`: whether an output sample counts; `scheduling`; `samples` that are real.
+    """
+
+    u: Float[np.ndarray, "samples inputs"]
+    y: Float[np.ndarray, "samples outputs"]
+    kept: Bool[np.ndarray, "samples outputs"]
+    scheduling: Float[np.ndarray, " samples"]
+    samples: int
+    sampling_time: float
+    hold: str
+
+    @classmethod
+    def of(cls, record: Record, like: int = 0) -> "Data":
+        """A record as the diagnosis takes it, as long as one that is padded already to `like` samples where that is not
+        much longer."""
+        length = padded_samples(record.samples)
+        extra = (like if length < like <= LONGER * length else length) - record.samples
+        known = np.isfinite(record.y)
+        p = np.zeros(record.samples) if record.scheduling is None else record.scheduling
+        return cls(
+            np.pad(record.u, ((0, extra), (0, 0)), mode="edge"),
+            np.pad(np.where(known, record.y, 0.0), ((0, extra), (0, 0))),
+            np.pad(known, ((0, extra), (0, 0))),
+            np.pad(p, (0, extra), mode="edge"),
+            record.samples,
+            record.sampling_time,
+            record.hold,
+        )
+
+    @property
+    def traced_sampling_time(self) -> Float[np.ndarray, ""]:
+        """Sampling time as an array, for compiled functions: a plain number would be compiled in."""
+        return np.asarray(self.sampling_time)
+
+    @property
+    def time(self) -> Float[np.ndarray, " samples"]:
+        """Time of every sample from the first, in s."""
+        return self.sampling_time * np.arange(len(self.u))
+
+
+class Matrices(eqx.Module):
+    """M, D, K in the record's units from the joined blocks; a pytree, so that other scalings do not compile again."""
+
+    scaling: Scaling
+    structure: Structure
+
+    def __call__(self, entries: Float[Array, " entries"]) -> tuple[Array, Array, Array]:
+        dofs = self.scaling.coordinates.shape[0]
+        blocks = part(entries, self.structure.sizes(dofs))
+        return self.scaling.matrices_out(*self.structure.matrices(blocks, dofs))
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What stays as it is while candidates are tried.
+
+    `drive` and `measured` in the record's units; `scaling` and `structure` of the linear parameters; `held`: entries of
+    the joined blocks that do not move; `input_names`, `output_names`.
+    """
+
+    drive: AbstractDrive
+    measured: tuple[str, ...]
+    scaling: Scaling
+    structure: Structure
+    held: Bool[np.ndarray, " entries"]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+
+    @property
+    def dofs(self) -> int:
+        """Coordinates that are measured."""
+        return len(self.measured)
+
+    @property
+    def per_mass(self) -> bool:
+        """Whether forces are those on a mass of one: a moving base leaves the scale of masses open."""
+        return not isinstance(self.drive, Force)
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Rows of the semidefinite blocks that make M, D, K."""
+        return self.structure.sizes(self.dofs)
+
+    @property
+    def matrices(self) -> Matrices:
+        """M, D, K in the record's units from the joined blocks."""
+        return Matrices(self.scaling, self.structure)
+
+    def entries_of(self, mass, damping, stiffness) -> Float[np.ndarray, " entries"]:
+        """Joined blocks of M, D, K in the record's units."""
+        scaled = self.scaling.matrices_in(*map(np.asarray, (mass, damping, stiffness)))
+        return np.asarray(join(self.structure.blocks(*scaled, lift=0.0)))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model extended by terms, with the first state of every record.
+
+    `entries`: joined blocks of M, D, K, scaled; `x0`: (q, q̇) per record, in the record's units; `terms`.
+    """
+
+    entries: Float[np.ndarray, " entries"]
+    x0: tuple[Float[np.ndarray, " states"], ...]
+    terms: tuple[Term, ...] = ()
+
+    def with_terms(self, terms) -> "Candidate":
+        """The same with other terms."""
+        return dataclasses.replace(self, terms=tuple(terms))
+
+    def with_entries(self, entries) -> "Candidate":
+        """The same with other M, D, K: joined blocks, scaled, as `Setup.entries_of` makes them."""
+        return dataclasses.replace(self, entries=np.asarray(entries, float))
+
+
+OF_FIRST = frozenset(("periodic_disturbance",))
+"""Effects of the first record alone: what hums has another phase in every record."""
+
+
+def of_record(candidate: Candidate, record: int) -> list[bool]:
+    """Which terms of a candidate act in a record of the fit, by its position."""
+    return [record == 0 or term.effect.id not in OF_FIRST for term in candidate.terms]
+
+
+def estimated(term: Term) -> list[int]:
+    """Positions of the parameters of a term that a fit moves."""
+    return [k for k, parameter in enumerate(term.effect.parameters) if parameter.counts]

@@ -1,0 +1,113 @@
+"""Gain from one model to the next on free runs: is there one for sure, and how large would it be on other records?
+
+The first is asked of the record at hand: a bootstrap over many short pieces of it. The second is asked of records with
+other inputs of the same kind. Pieces longer than the motion remembers stand for them, and a lightly damped motion
+remembers long: short pieces would make the interval three times too narrow. What differs from record to record, and not
+within one, shows in how far the gain on the data of the fit is from this one.
+"""
+
+import numpy as np
+import scipy.special
+from jaxtyping import Float, Int
+
+from ..findings import Gain
+from .free_run import FreeRun
+
+SHORT = 40
+"""Pieces that the bootstrap draws from."""
+
+RESAMPLES = 500
+
+LONG = (4, 5, 6, 8, 12)
+"""Pieces of the jackknife; the number with the largest spread counts."""
+
+
+def gain_of(
+    before: list[FreeRun],
+    after: list[FreeRun],
+    baseline: list[FreeRun],
+    floor: Float[np.ndarray, " outputs"],
+    names: tuple[str, ...],
+    *,
+    held_out: bool,
+    rng: np.random.Generator,
+    seen: tuple[list[FreeRun], list[FreeRun], list[FreeRun]] | None = None,
+) -> Gain:
+    """Gain from one model to the next, with its intervals.
+
+    **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
+    `names` of outputs; `held_out`; `rng`; `seen`: the same three on the data of the fit, for gains on
+    held-out data.
+
+    **Returns:** a `Gain`.
+
+    **Reference:** Künsch, *The jackknife and the bootstrap for general stationary observations* (1989).
+    """
+    runs = before, after, baseline
+    short = _Pieces(runs, floor, max(SHORT // len(before), 8))
+    draws = short.percent(rng.integers(0, len(short), (RESAMPLES, len(short))))
+    everything = np.arange(len(short))
+    pairs = {name: (float(b), float(a)) for name, b, a in zip(names, *short.rmse(everything)[:2])}
+    percent = float(short.percent(everything))
+    between = 0.0
+    if held_out and seen is not None:
+        fitted = _Pieces(seen, floor, 1)
+        between = abs(float(fitted.left(np.arange(len(fitted))) - short.left(everything)))
+    interval = _interval(runs, floor, between)
+    return Gain(pairs, percent, interval, float(np.quantile(draws, 0.01)), held_out)
+
+
+class _Pieces:
+    """Sums of squares of three sets of runs over pieces of the records, `each` a record."""
+
+    def __init__(self, runs: tuple[list[FreeRun], ...], floor: np.ndarray, each: int):
+        self.floor = floor
+        self.counts = np.concatenate([[run.kept[k].sum(axis=0) for k in _cut(run, each)] for run in runs[0]])
+        self.sums = [
+            np.concatenate(
+                [[np.sum(np.where(r.kept[k], r.e[k], 0.0) ** 2, axis=0) for k in _cut(r, each)] for r in one]
+            )
+            for one in runs
+        ]
+
+    def __len__(self):
+        return len(self.counts)
+
+    def rmse(self, index: Int[np.ndarray, "... drawn"]) -> list[Float[np.ndarray, "... outputs"]]:
+        """Root mean square error per output of every set of runs, over some pieces."""
+        total = np.maximum(self.counts[index].sum(axis=-2), 1)
+        return [np.sqrt(sums[index].sum(axis=-2) / total) for sums in self.sums]
+
+    def overall(self, index: Int[np.ndarray, "... drawn"]) -> list[Float[np.ndarray, "..."]]:
+        """Errors of all outputs in units of the floor, of every set of runs, over some pieces."""
+        return [np.maximum(np.sqrt(np.mean((rmse / self.floor) ** 2, axis=-1)), 1e-300) for rmse in self.rmse(index)]
+
+    def percent(self, index: Int[np.ndarray, "... drawn"]) -> Float[np.ndarray, "..."]:
+        """Gain over some pieces."""
+        before, after, baseline = self.overall(index)
+        return 100 * (before - after) / baseline
+
+    def left(self, index: Int[np.ndarray, "... drawn"]) -> Float[np.ndarray, "..."]:
+        """Logarithm of the share of the error that is left, over some pieces."""
+        before, after, _ = self.overall(index)
+        return np.log(np.maximum(after / before, 1e-3))
+
+
+def _cut(run: FreeRun, each: int) -> list[np.ndarray]:
+    return np.array_split(np.flatnonzero(run.kept.any(axis=1)), each)
+
+
+def _interval(runs, floor, between: float) -> tuple[float, float]:
+    """95 % interval of the gain: of the logarithm of the error that is left, by the jackknife over long pieces, and its
+    difference `between` records in squares."""
+    spreads = []
+    for wanted in LONG:
+        pieces = _Pieces(runs, floor, max(1, -(-wanted // len(runs[0]))))
+        everything = np.arange(len(pieces))
+        left = [pieces.left(np.delete(everything, k)) for k in everything]
+        spreads.append(np.sqrt((len(left) - 1) * np.var(left)))
+    reach = np.hypot(float(scipy.special.stdtrit(LONG[0] - 1, 0.975)) * max(spreads), between)
+    before, _, baseline = pieces.overall(everything)
+    return tuple(
+        float(100 * before / baseline * (1 - np.exp(pieces.left(everything) + side * reach))) for side in (1, -1)
+    )

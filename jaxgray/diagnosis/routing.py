@@ -1,0 +1,249 @@
+"""Which way a diagnosis goes: the free run of the linear model, the force equation, or a static gain."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+
+from ..identification import Identification, identify
+from ..identification.options import drive_by
+from ..mechanics.drives import AbstractDrive, Force
+from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
+from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.progress import AbstractProgress
+from ..records import Record
+from .conclusions.equation_error import FAR, force_diagnosis
+from .conclusions.static_gain import static_diagnosis
+from .equation_error.search import Search
+from .equation_error.without_unmeasured_forces import search_forces
+from .model.free_run import overall, rms_of
+from .noise.whitening import white_part
+from .result import Diagnosis
+from .settings import TIME_LOCAL
+
+Route = Literal["free run", "force equation", "static gain"]
+
+ONE_LINE = 1e-3
+"""Share of an input's power off one line below which it is a single sine."""
+
+STRAIGHT = 0.5
+"""Size of the residual of a straight line relative to the motion below which motion follows its input statically."""
+
+UNDETERMINED = 0.5
+"""Relative standard error of a mass from which it is not determined."""
+
+POOR = 30.0
+"""Fit [%] of the free run below which it is of no use."""
+
+USELESS = 10.0
+"""The same where the force equation finds nothing."""
+
+USABLE = 80.0
+"""Fit [%] of the free run from which it is of use whatever the standard errors say."""
+
+NEARER = 0.5
+"""Error of the force equation's model over windows, relative to that of the free run's, from which it is the better."""
+
+HOPELESS = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
+"""Failures of the linear fit that no other way mends."""
+
+
+def begin(
+    records: list[Record],
+    held: list[Record],
+    catalogue: tuple[AbstractEffect, ...],
+    max_effects: int,
+    seed: int,
+    progress: AbstractProgress,
+    options: dict,
+) -> Identification | Diagnosis:
+    """The linear fit, or the whole diagnosis of records on which its free run is of no use.
+
+    **Arguments:** `records`, `held`; `catalogue`; `max_effects`; `seed`; `progress`; `options`: of `identify`.
+
+    **Returns:** an `Identification` where the free run serves, otherwise a `Diagnosis` by another route.
+
+    **Raises:** as `identify`.
+    """
+    identification = failure = None
+    try:
+        identification = identify(records, validation=held, progress=progress, **options)
+    except ComputationError as error:
+        failure = error
+        if any(error.result == one for one in HOPELESS) or not any(np.any(record.u) for record in records):
+            raise
+    drive = drive_by(records[0], options)
+    rng = np.random.default_rng(seed)
+    route = route_of(records, identification, drive)
+    if route == "static gain":
+        return static_diagnosis(
+            records, held, drive, catalogue, max_effects, identification=identification, rng=rng, progress=progress
+        )
+    in_step = identification is not None and may_come_into_step(identification)
+    if in_step and _fit(identification) >= USELESS:
+        # What the force equation hears is asked for by the loop, and a free run that is poor may hear more.
+        return identification
+    if route == "force equation":
+        try:
+            search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+        except ComputationError as error:
+            if identification is None:
+                # What is wrong with the record says the linear fit.
+                raise failure from error
+            return identification
+        # What the force equation does not hear, a free run may that is poor, but not without use; and what it hears
+        # may bring the free run of a body on a spring into step.
+        useless = identification is None or _fit(identification) < USELESS
+        if (search.taken or useless) and not (search.taken and in_step):
+            return force_diagnosis(search, identification)
+        return identification
+    if failure is not None:
+        raise failure
+    return identification
+
+
+def asked_of_forces(
+    records: list[Record],
+    held: list[Record],
+    identification: Identification | None,
+    catalogue: tuple[AbstractEffect, ...],
+    max_effects: int,
+    seed: int,
+    progress: AbstractProgress,
+    options: dict,
+) -> Callable[[], Search | None] | None:
+    """What gives the search in the force equation of records on which the free run of some output is poor, or far from
+    what the noise of its samples explains.
+
+    **Arguments:** as `begin`; `identification`: the linear fit, None where a user's own model is judged.
+
+    **Returns:** a function without arguments, which searches once however often it is called and gives None where the
+    force equation has no solution; None where it does not apply.
+    """
+    if identification is None or not (worst_fit(identification) < USABLE or _far(records, identification)):
+        return None
+    drive = drive_by(records[0], options)
+    if not isinstance(drive, Force) or "acceleration" in records[0].measured:
+        return None
+
+    @functools.cache
+    def search() -> Search | None:
+        progress.stage("looking in the force equation")
+        rng = np.random.default_rng(seed)
+        try:
+            return search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+        except ComputationError:
+            return None
+
+    return search
+
+
+def may_come_into_step(identification: Identification) -> bool:
+    """Whether the free run is poor, of a body on springs: with a law that is missing it may follow the record."""
+    return bool(np.any(identification.stiffness)) and _fit(identification) < POOR
+
+
+def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | None) -> Diagnosis:
+    """A diagnosis of free runs, or what the force equation finds, where the first is not sound and its model is twice
+    as far from windows of the held-out data.
+
+    **Arguments:** `found`; `forces`: as `asked_of_forces` gives it.
+    """
+    sound = found.verdict in ("named", "equivalent") and (found.gain is None or found.gain.ci95[0] > 0)
+    search = None if sound or forces is None else forces()
+    if search is None or not search.taken:
+        return found
+    if found.extended is None and may_come_into_step(found.identification):
+        return force_diagnosis(search, found.identification)
+    own = (found.baseline if found.extended is None else found.extended).model
+    # What else it has belongs to a record's clock, or to a sensor.
+    laws = (t for t in own.effects if isinstance(t.effect, AbstractForceEffect) and t.effect.id not in TIME_LOCAL)
+    runs = search.windows.run(dataclasses.replace(own, effects=tuple(laws)))
+    here, there = (runs[len(search.records) :] or runs), (search.runs[1] or search.runs[0])
+    nearer = overall(rms_of(there), rms_of(here)) < NEARER
+    return force_diagnosis(search, found.identification) if nearer else found
+
+
+def route_of(records: list[Record], identification: Identification | None, drive: AbstractDrive) -> Route:
+    """The way a diagnosis goes.
+
+    A single sine gives two equations, and M, D, K are three: where the motion follows it statically, a static gain.
+    The force equation, where there is no linear model, where it has no stiffness and its free run drifts, or where its
+    free run is poor or does not determine the masses.
+
+    **Arguments:** `records`; `identification`: the linear fit, None where it failed; `drive`.
+
+    **Returns:** "free run", "force equation" or "static gain".
+    """
+    displacement = all(kind == "displacement" for kind in records[0].measured)
+    if displacement and isinstance(drive, Force) and all(map(is_single_sine, records)) and all(map(is_static, records)):
+        return "static gain"
+    if not isinstance(drive, Force) or "acceleration" in records[0].measured:
+        return "free run"
+    if identification is None:
+        return "force equation"
+    fit = _fit(identification)
+    mass, errors = np.diag(identification.mass), identification.standard_errors
+    undetermined = errors is not None and np.any(np.diag(errors["mass"]) > UNDETERMINED * np.abs(mass))
+    if not np.any(identification.stiffness) and fit < USABLE:
+        return "force equation"
+    if fit < POOR or (undetermined and fit < USABLE):
+        return "force equation"
+    return "free run"
+
+
+def _far(records: list[Record], identification: Identification) -> bool:
+    """Whether the free run of some output leaves many times the noise of its samples."""
+    left = np.max([one.rmse for one in identification.estimation], axis=0)
+    quiet = [np.sqrt(white_part(np.nan_to_num(r.y), np.isfinite(r.y))) for r in records]
+    return bool(np.any(left > FAR * np.max(quiet, axis=0)))
+
+
+def worst_fit(identification: Identification) -> float:
+    """Fit [%] of the free run of the output that has the poorest."""
+    return float(np.min([one.fit_percent for one in identification.estimation]))
+
+
+def _fit(identification: Identification) -> float:
+    """Mean fit [%] of the free run."""
+    return float(np.mean([one.fit_percent for one in identification.estimation]))
+
+
+def is_single_sine(record: Record) -> bool:
+    """Whether every input that moves is one sine about a mean."""
+    u = record.u - record.u.mean(axis=0)
+    for column in u.T[np.std(u, axis=0) > 0]:
+        power = np.abs(np.fft.rfft(column * np.hanning(len(column)), 4 * len(column))) ** 2
+        # A sine's own width, and its mean that the window lets through, in bins of the padded transform.
+        peak = int(np.argmax(power[12:])) + 12
+        near = _refined(column, peak / (4 * len(column)))
+        if near > ONE_LINE * float(column @ column):
+            return False
+    return bool(np.any(np.std(u, axis=0) > 0))
+
+
+def _refined(x: np.ndarray, frequency: float) -> float:
+    """Least sum of squares that a mean and a sine near a frequency (per sample) leave."""
+    n, least = np.arange(len(x)), np.inf
+    width = 0.5 / len(x)
+    for _ in range(6):
+        for f in frequency + width * np.linspace(-1, 1, 9):
+            table = np.stack([np.ones(len(x)), np.cos(2 * np.pi * f * n), np.sin(2 * np.pi * f * n)], axis=1)
+            e = x - table @ np.linalg.lstsq(table, x, rcond=None)[0]
+            if e @ e < least:
+                least, best = float(e @ e), f
+        frequency, width = best, width / 4
+    return least
+
+
+def is_static(record: Record) -> bool:
+    """Whether a straight line in the inputs leaves less than half of every output's motion."""
+    table = np.concatenate([np.ones((record.samples, 1)), record.u], axis=1)
+    for y in record.y.T:
+        known = np.isfinite(y)
+        e = y[known] - table[known] @ np.linalg.lstsq(table[known], y[known], rcond=None)[0]
+        if not np.std(e) < STRAIGHT * np.std(y[known]):
+            return False
+    return True

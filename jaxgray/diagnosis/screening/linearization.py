@@ -1,0 +1,146 @@
+"""One round of the diagnosis: what is left of a model's free run, and what would explain it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ...mechanics.effects.base import AbstractEffect
+from ...mechanics.extended import Plant, input_matrix_of
+from ...mechanics.statespace import StateSpace, sampled
+from ...numerics.stored_programs import ONCE, stored
+from ..model.candidate import Candidate, Data
+from ..model.simulator import Simulator
+from ..noise.smoother import smoothed_states
+from ..noise.whitening import Chain, counted, estimate_chain, white_chain
+from .features import Features, Motion, features
+from .scales import scales_at
+from .score_test import Screening, screen
+from .spectral_lines import lines_of
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A model on the estimation record: residual, sensitivities and the means to look further.
+
+    `candidate`; `e`, `J`; `plant`; `system`: sampled, outputs that are measured; `force`: mean square of each input;
+    `motion`: simulated; `ruled_out`: effects and places that are not looked for.
+    """
+
+    candidate: Candidate
+    e: Float[np.ndarray, "samples outputs"]
+    J: Float[np.ndarray, "samples outputs parameters"]
+    plant: Plant
+    system: StateSpace
+    force: Float[np.ndarray, " inputs"]
+    motion: Motion
+    ruled_out: frozenset = frozenset()
+
+    @property
+    def taken(self) -> frozenset:
+        """Effects and places that are in the model."""
+        return frozenset((t.effect.id, t.place.name) for t in self.candidate.terms)
+
+
+def stage_of(simulator: Simulator, candidate: Candidate, data: Data, record: int = 0) -> Stage:
+    """Simulate a candidate and gather what a round needs."""
+    y, J = simulator.run_and_jacobian(candidate, data, record)
+    e = np.where(data.kept, data.y - y, 0.0)
+    plant = simulator.plant(candidate)
+    q, v = simulator.motion(candidate, data, record)
+    system = sampled_plant(plant, data, simulator.setup.dofs)
+    force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
+    return Stage(candidate, e, J, plant, system, force, Motion(q, v, y))
+
+
+@stored(level=ONCE)
+def _sampled(plant: Plant, time, hold: str) -> StateSpace:
+    continuous = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, time)
+    return sampled(continuous, 1.0, hold)
+
+
+def sampled_plant(plant: Plant, data: Data, outputs: int) -> StateSpace:
+    """The linear part at its sampling instants, with the outputs that are measured."""
+    system = _sampled(plant, data.traced_sampling_time, data.hold)
+    return StateSpace(system.A, system.B, system.C[:outputs], system.D[:outputs])
+
+
+def look(
+    stage: Stage,
+    data: Data,
+    catalogue: tuple[AbstractEffect, ...],
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    *,
+    chain: Chain | None = None,
+    surrogates: int = 100,
+    rng: np.random.Generator | None = None,
+) -> Screening:
+    """The gate: every candidate with features from the simulated motion."""
+    made = _features(stage, stage.motion, data, catalogue, names)
+    start = white_chain(stage.e, data.kept, stage.system) if chain is None else chain
+    return screen(stage.e, stage.J, data, made, stage.system, stage.force, start, surrogates=surrogates, rng=rng)
+
+
+def look_closer(
+    stage: Stage,
+    data: Data,
+    catalogue: tuple[AbstractEffect, ...],
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    chain: Chain | None = None,
+) -> Screening:
+    """The ranking: candidates with features from the measured motion, smoothed; the chain is begun anew without one."""
+    motion = measured_motion(stage, data)
+    made = _features(stage, motion, data, catalogue, names)
+    begun, rounds = (white_chain(stage.e, data.kept, stage.system), 3) if chain is None else (chain, 1)
+    return screen(stage.e, stage.J, data, made, stage.system, stage.force, begun, rounds=rounds)
+
+
+def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Features:
+    inputs, outputs = names
+    scales = scales_at(stage.plant, motion, data, inputs, outputs, lines_of(stage.e, data))
+    return features(stage.plant, motion, data, catalogue, scales, inputs, outputs, stage.taken | stage.ruled_out)
+
+
+def measured_motion(stage: Stage, data: Data) -> Motion:
+    """The measured motion, smoothed: the simulated one and what the residual says of the states."""
+    plant, h = stage.plant, data.sampling_time
+    dofs = plant.mass.shape[0]
+    push = np.linalg.solve(np.asarray(plant.mass), np.eye(dofs)) * h**2
+    B = np.concatenate([np.zeros_like(push), push])
+    outputs = stage.system.C.shape[0]
+    accelerated = np.array([kind == "acceleration" for kind in plant.measured[:outputs]])
+    D = np.where(accelerated[:, None], push[:outputs] / h**2, 0.0)
+    Bd = _held(np.asarray(plant_matrix(plant, h)), B)
+    system = StateSpace(stage.system.A, Bd, stage.system.C, D)
+    map_ = np.asarray(input_matrix_of(plant.drive))
+    force = np.mean((data.u[: data.samples] @ map_.T) ** 2, axis=0)
+    force = np.maximum(force, 1e-6 * max(float(force.max()), 1e-300))
+    # The mean is no motion: a constant would drag the smoothed states along.
+    chain = estimate_chain(stage.e, data.kept, system, force)
+    ratio = chain.ratio if chain.ratio > 0 else 1e-8
+    x = smoothed_states(system, stage.e, data.kept, force, ratio)
+    q, v = stage.motion.q + x[:, :dofs], stage.motion.v + x[:, dofs:] / h
+    if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
+        return stage.motion
+    # Outputs stay simulated: made from measured ones, features of the sensors would share the residual's noise.
+    return Motion(q, v, stage.motion.y)
+
+
+def plant_matrix(plant: Plant, h: float):
+    """A of the first-order form, time in units of `h` [s]."""
+    return plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, h).A
+
+
+def _held(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """B of a zero-order hold over one unit of time."""
+    import scipy.linalg
+
+    states, inputs = B.shape
+    block = np.zeros((states + inputs, states + inputs))
+    block[:states, :states], block[:states, states:] = A, B
+    return scipy.linalg.expm(block)[:states, states:]
+
+
+def rows_of(data: Data) -> int:
+    """Output samples that count."""
+    return int(counted(data.kept).sum())

@@ -1,0 +1,120 @@
+"""Which candidates are worth a refit, and from which shapes each begins."""
+
+import dataclasses
+
+import numpy as np
+
+from ...mechanics.effects.base import AbstractEffect, AbstractMatrixEffect
+from ..settings import ACCEPTED
+from .flexible_force import FlexibleForce
+from .score_test import Score, Screening
+
+TRIED = 4
+"""Candidates of a round up to which another place of the best is tried, too."""
+
+LINE_START = 0.03, 0.02
+"""Damping ratio and mass ratio with which a mode at a line of the residual begins."""
+
+SAME = 0.05
+"""Relative difference of estimated shape parameters up to which two starts are one."""
+
+
+def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
+    """Candidates worth a refit, each with the shapes to start from: best by measured motion, then by simulated."""
+    near, far = closer.best_by_place(), screening.best_by_place()
+    white = {}
+    for score in screening.first:
+        white.setdefault((score.shape.effect.id, score.shape.place.name), score)
+    chosen: dict[tuple[str, str], list[Score]] = {}
+
+    def add(ranking, count):
+        ids = {key[0] for key in chosen}
+        for key, score in ranking.items():
+            if count == 0 or score.delta_bic < ACCEPTED:
+                return
+            if key in chosen or key[0] in ids or key[0] == FlexibleForce.id:
+                continue
+            ids.add(key[0])
+            chosen[key] = []
+            count -= 1
+
+    add(near, 3)
+    add(far, 1 if chosen else 3)
+    add(white, 1 if chosen else 3)
+    tables = (near, far, white)
+    # A law that turns into a simpler one is only worth what it explains beyond that.
+    for effect, place in [
+        (score.shape.effect, key[1]) for key, score in [*near.items(), *far.items(), *white.items()] if key in chosen
+    ]:
+        for simpler in effect.contains:
+            known = any((simpler, place) in table for table in tables)
+            if known and (simpler, place) not in chosen:
+                chosen[simpler, place] = []
+    # Another place for the best effect: neighbours are easily taken for each other.
+    if near:
+        first = next(iter(near))
+        for key, score in near.items():
+            if key[0] == first[0] and key not in chosen and score.delta_bic > ACCEPTED and len(chosen) < TRIED + 1:
+                chosen[key] = []
+                break
+    # A law that contains one of these is its refit with little more to find.
+    simple = set(chosen)
+    for key, score in ((key, score) for table in tables for key, score in table.items()):
+        inside = any((simpler, key[1]) in simple for simpler in score.shape.effect.contains)
+        if inside and key not in chosen and score.delta_bic > ACCEPTED:
+            chosen[key] = []
+    # What a law may turn out to be must not go unheard.
+    turns = {
+        (law, key[1]) for table in tables for key in table if key in chosen for law in table[key].shape.effect.becomes
+    }
+    chosen |= {key: [] for key in sorted(turns) if key not in chosen and any(key in table for table in tables)}
+    for key, scores in chosen.items():
+        for table in tables:
+            if key in table and not any(same_start(table[key], s) for s in scores):
+                scores.append(table[key])
+        del scores[2:]
+        scores += at_lines(scores[0])
+    return list(chosen.values())
+
+
+def at_lines(score: Score) -> list[Score]:
+    """For an effect that adds a mode, starts at the strongest lines of the residual; none for others.
+
+    To first order the line of a heavy mass says little: it rings with the structure, which has taken part of it upon
+    itself.
+    """
+    if not adds_mode(score.shape.effect):
+        return []
+    lines = dict.fromkeys(score.shape.scales.lines_hz)
+    return [begun_at(score, np.array([frequency, *LINE_START])) for frequency in lines]
+
+
+def begun_at(score: Score, values: np.ndarray) -> Score:
+    """A score of an effect that begins with other values."""
+    shape = dataclasses.replace(score.shape, values=np.asarray(values, dtype=float))
+    return dataclasses.replace(score, shape=shape, weights=np.ones(len(score.weights)))
+
+
+def adds_mode(effect: AbstractEffect) -> bool:
+    """Whether an effect is a structure with a coordinate of its own."""
+    return isinstance(effect, AbstractMatrixEffect) and effect.extra
+
+
+def listed_with(listed: list[list[Score]], more: list[Score]) -> list[list[Score]]:
+    """A short list with further starts, of what is on it and of others."""
+    result = [list(scores) for scores in listed]
+    by_name = {(scores[0].shape.effect.id, scores[0].shape.place.name): scores for scores in result}
+    for score in more:
+        name = score.shape.effect.id, score.shape.place.name
+        if name in by_name:
+            by_name[name].append(score)
+        else:
+            result.append([score])
+    return result
+
+
+def same_start(one: Score, other: Score) -> bool:
+    """Whether two scores are of one shape, as far as a refit moves it: amplitudes find their size in a step or two."""
+    moving = [p.counts and not p.amplitude for p in one.shape.effect.parameters]
+    a, b = one.shape.values[moving], other.shape.values[moving]
+    return bool(np.all(np.abs(a - b) <= SAME * np.maximum(np.abs(a), np.abs(b))))

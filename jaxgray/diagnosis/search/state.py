@@ -1,0 +1,93 @@
+"""How far the loop of a diagnosis got, and its model run on data."""
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..estimation.context import Bench
+from ..estimation.gauss_newton import Refit
+from ..estimation.multistart import Attempt
+from ..findings import Gain, Rejected
+from ..model.candidate import Candidate, Data
+from ..model.free_run import FreeRun, free_run
+from ..screening.linearization import Stage, stage_of
+from ..screening.score_test import Screening
+from ..settings import TIME_LOCAL
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs."""
+
+    attempt: Attempt
+    rivals: tuple[Attempt, ...]
+    gain: Gain
+    runs: list[FreeRun]
+
+    @property
+    def stage(self) -> str:
+        """Whether it says what the "model" lacks or what is wrong with the "record"."""
+        return self.attempt.score.shape.effect.stage
+
+
+@dataclass(frozen=True)
+class Credit:
+    """Where the loop was before findings were lent their place: `stage`, its `fit`, the `screening` there, whether it
+    left something `unexplained`, and how many findings were `sure`."""
+
+    stage: Stage
+    fit: Refit | None
+    screening: Screening
+    unexplained: bool
+    sure: int
+
+
+@dataclass
+class Growth:
+    """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
+    tried, the last look, what is no longer looked for, and what the last findings owe."""
+
+    start: Stage
+    stage: Stage
+    fit: Refit | None = None
+    accepted: list[Accepted] = field(default_factory=list)
+    rejected: list[Rejected] = field(default_factory=list)
+    tried: dict[tuple[str, str], Refit] = field(default_factory=dict)
+    screening: Screening | None = None
+    first: Screening | None = None
+    unexplained: bool = False
+    ruled_out: frozenset = frozenset()
+    baseline_runs: list[FreeRun] = field(default_factory=list)
+    runs: list[FreeRun] = field(default_factory=list)
+    credit: Credit | None = None
+
+    @property
+    def sure(self) -> Stage:
+        """The model without findings on credit."""
+        return self.stage if self.credit is None else self.credit.stage
+
+
+def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
+    """The model on the first record, without the columns of what is held."""
+    stage = stage_of(bench.simulator, candidate, bench.data[0])
+    entries = len(candidate.entries)
+    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - entries, bool)])
+    return dataclasses.replace(stage, J=stage.J[:, :, kept])
+
+
+def is_local(bench: Bench, effect_id: str) -> bool:
+    """Whether held-out data do not show an effect."""
+    return effect_id in TIME_LOCAL and not (bench.separate and effect_id != "periodic_disturbance")
+
+
+def runs_seen(bench: Bench, *residuals: np.ndarray) -> tuple[list[FreeRun], ...]:
+    """Free runs on the first record of the fit, one list for each residual that they leave there."""
+    return tuple([FreeRun(e, e, bench.data[0].kept)] for e in residuals)
+
+
+def held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
+    """Free run on held-out data, without what belongs to the clock of the estimation record."""
+    absent = ("periodic_disturbance",) if bench.separate else TIME_LOCAL
+    terms = tuple(t for t in candidate.terms if t.effect.id not in absent)
+    return free_run(bench.simulator, candidate.with_terms(terms), data)

@@ -1,0 +1,45 @@
+"""Thresholds that several rooms of the diagnosis share."""
+
+from ..mechanics.effects.stiffness import DeadZoneStiffness, EndStop
+
+ACCEPTED = 10.0
+"""ΔBIC of a refit from which it is believed."""
+
+ALIKE = 6.0
+"""Difference of BIC within which two refits count as one class."""
+
+SIGNIFICANT = 4.0
+"""|β|/se from which an amplitude counts."""
+
+GATE = 10.0
+"""ΔBIC from which a candidate counts."""
+
+SIGNIFICANCE = 0.01
+"""Family-wise probability of a false alarm (Holm)."""
+
+HOPELESS = 100.0
+"""Distance in criterion from the best first refit beyond which a candidate is not pursued; its refit is given up at
+twice this."""
+
+STANDING_ALIKE = 10.0
+"""Difference of BIC within which two laws that are easily alike count as one class."""
+
+CONTACT = frozenset({DeadZoneStiffness.id, EndStop.id})
+"""Laws that differ in their name alone, by how much of the record is spent in contact."""
+
+TIME_LOCAL = frozenset(
+    (
+        "stiffness_step",
+        "mass_step",
+        "stiffness_drift",
+        "force_step",
+        "sensor_drift",
+        "periodic_disturbance",
+        "clock_scale",
+        "dropped_samples",
+    )
+)
+"""Effects tied to the clock of one record: another record, or another part, may not show them."""
+
+CLEAR = 100.0
+"""ΔBIC from which something is there, whatever the noise."""

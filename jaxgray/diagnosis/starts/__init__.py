@@ -1,0 +1,8 @@
+"""Where a refit can begin, besides the weights of the score test.
+
+user_model      wrong entries of the user's own model
+force_matching  a law that imitates the force of another
+lookalikes      confusable laws from the best one's end
+equation_error  laws that the force equation finds, with its M, D, K
+residual_modes  hidden modes from the lines of the residual
+"""

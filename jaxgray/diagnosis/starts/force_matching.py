@@ -1,0 +1,115 @@
+"""Laws that were left behind, begun again where they push as the best law does.
+
+A strong effect takes a linear model far away: a law refitted from there may end in another optimum while one that can
+imitate it finds the way. Then the law that is right begins where the other ended. What its force leaves of the other's
+over the record's motion says whether it is worth a refit, and with which sizes, stiffness and damping it begins.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from ...mechanics.effects.base import AbstractForceEffect
+from ...mechanics.extended import arm_of
+from ...numerics.side_by_side import side_by_side
+from ..estimation.context import Bench, chain_of
+from ..estimation.continuation import ROUGH, pursued
+from ..estimation.gauss_newton import Refit, refit
+from ..estimation.multistart import Attempt, by_contact, criterion_of, unresolved
+from ..findings import Rejected
+from ..model.candidate import Candidate
+from ..screening.features import Motion, Shape, forces_of
+from ..screening.linearization import Stage
+from ..screening.score_test import Score, Screening
+from ..settings import HOPELESS
+
+ALIKE = 0.2
+"""What a law's force may leave of another's, beside a spring's and a damper's, relative to what these leave."""
+
+NEARBY = 3
+"""Laws that are begun again at most."""
+
+
+def left_behind(
+    bench: Bench,
+    stage: Stage,
+    best: Attempt,
+    tried: set[tuple[str, str]],
+    tables: tuple[Screening, ...],
+    rejected: list[Rejected],
+) -> list[Attempt]:
+    """Force laws at the place of the best one that can imitate it, but ended far behind it: refitted from where it
+    ended, those that come near.
+
+    **Arguments:** `bench`; `stage`: without the best one; `best`; `tried`: laws and places that ended far behind;
+    `tables`: where their shapes are; `rejected`: takes those that are another law where they end.
+    """
+    term = best.fit.candidate.terms[-1]
+    if not isinstance(term.effect, AbstractForceEffect) or term.effect.places == "input":
+        return []
+    scores: dict[tuple[str, str], dict[bytes, Score]] = {}
+    for score in (score for table in tables for score in table.scores):
+        name = score.shape.effect.id, score.shape.place.name
+        same_kind = isinstance(score.shape.effect, AbstractForceEffect) and score.shape.effect.places != "input"
+        nested = term.effect.id in score.shape.effect.contains or score.shape.effect.id in term.effect.contains
+        if name in tried and name[1] == term.place.name and same_kind and not nested:
+            scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
+    found = [_imitating(bench, best.fit, list(scores[name].values())) for name in sorted(scores)]
+    near = sorted((pair for pair in found if pair[0] < ALIKE), key=lambda pair: pair[0])[:NEARBY]
+    ends = side_by_side(lambda pair: _begun_again(bench, stage, best, *pair[1]), near)
+    rejected += [end for end in ends if isinstance(end, Rejected)]
+    return [end for end in ends if isinstance(end, Attempt)]
+
+
+def _imitating(bench: Bench, fit: Refit, scores: list[Score]) -> tuple[float, tuple[Score, Candidate]]:
+    """What the nearest shape of a law leaves of the force of a refit's last term, its score, and the model with it in
+    the other's place."""
+    data, term = bench.data[0], fit.candidate.terms[-1]
+    plant, setup = bench.simulator.plant(fit.candidate), bench.simulator.setup
+    q, v = bench.simulator.motion(fit.candidate, data)
+    arm, motion = np.asarray(arm_of(term, plant)), Motion(q, v, q)
+    own = Shape(term.effect, term.place, np.array(term.values), (np.array(term.values),), scores[0].shape.scales, 1)
+    made = forces_of([own, *(score.shape for score in scores)], plant, motion, data)[:, : data.samples]
+    plain = np.stack([q @ arm, v @ arm])[:, : data.samples]
+    size = np.maximum(np.linalg.norm(plain, axis=1), 1e-300)
+    bare = _left(plain / size[:, None], made[0])[0]
+    best, at = (np.inf, 0, scores[0], np.zeros(2)), 1
+    for score in scores:
+        columns = made[at : at + len(score.shape.basis)]
+        at += len(columns)
+        scale = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+        if not np.all(np.isfinite(columns)):
+            continue
+        left, weights = _left(np.concatenate([plain / size[:, None], columns / scale[:, None]]), made[0])
+        if left < best[0]:
+            best = left, weights[2:] / scale, score, weights[:2] / size
+    left, weights, score, (stiffness, damping) = best
+    M, D, K = (np.asarray(X) for X in setup.matrices(fit.candidate.entries))
+    line = np.outer(arm, arm)[: setup.dofs, : setup.dofs]
+    entries = setup.entries_of(M, D + damping * line, K + stiffness * line)
+    terms = (*fit.candidate.terms[:-1], score.shape.term(np.asarray(weights)))
+    return left / max(bare, 1e-300), (score, dataclasses.replace(fit.candidate, entries=entries, terms=terms))
+
+
+def _left(rows: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
+    """Norm of what a least squares on some rows leaves of a target, and its weights."""
+    weights = np.linalg.lstsq(rows.T, target, rcond=1e-10)[0]
+    return float(np.linalg.norm(target - weights @ rows)), weights
+
+
+def _begun_again(
+    bench: Bench, stage: Stage, best: Attempt, score: Score, begin: Candidate
+) -> Attempt | Rejected | None:
+    """The refit of a law from where it imitates the best one, or that it ends as another; None where far behind."""
+    shape = score.shape
+    bench.progress.stage(f"refitting {shape.effect.id} at {shape.place.name}")
+    options = {"held": bench.held, "tolerance": ROUGH}
+    again = refit(bench.simulator, best.fit.candidate, bench.data, best.chain, max_steps=3, **options)
+    most = criterion_of(bench, best.score, best.fit if again is None else again) + HOPELESS
+    fit = refit(bench.simulator, begin, bench.data, best.chain, max_steps=10, **options)
+    if fit is None or criterion_of(bench, score, fit) > most:
+        return None
+    end = pursued(bench, fit)
+    if (other_law := unresolved(end, score)) is not None:
+        return Rejected(shape.effect.id, shape.place.name, score.delta_bic, other_law)
+    return by_contact(bench, Attempt(score, end, chain_of(bench, end)), stage)

@@ -1,0 +1,304 @@
+"""A diagnosis in words: the verdict as a sentence, everything on one screen."""
+
+import math
+import re
+import textwrap
+
+from ...numerics.text import listed
+from ..findings import DiagnosisFields, Finding, Gain, ParameterShift
+from .titles import parameters_text, place_of, title_of, value_text
+
+ONLY_NOISE = 1.05
+"""RMSE over noise floor up to which what is left counts as noise."""
+
+STANDS_IN = 1.2
+"""The same on held-out data from which a law that leaves only noise on the data of its fit may stand in for another."""
+
+MISSED = 50.0
+"""Share of an output's motion [%] from which what a model leaves, unless white, is more than noise usually is."""
+
+MANY = 4.0
+"""Ratio of an entry to what it should be from which a sentence says how many times it is."""
+
+MODEL_ERRORS = {"mass_error": "mass", "damping_error": "damping", "stiffness_error": "stiffness"}
+
+
+def verdict_sentence(diagnosis: DiagnosisFields) -> str:
+    """The verdict in words: what is missed, its cause, what mending it buys, and where it had been hidden.
+
+    **Arguments:** `diagnosis`.
+
+    **Returns:** a few sentences in one line.
+    """
+    subject = "Your model" if diagnosis.own_model else "The linear model"
+    causes = [f for f in diagnosis.findings if f.stage == "model" and f.effect and f.status != "unexplained"]
+    parts = [_missed(diagnosis, subject)]
+    if causes:
+        parts += _causes(diagnosis, causes)
+        parts += [_gain(diagnosis, causes)]
+    if causes and not diagnosis.own_model:
+        parts += [_hidden(diagnosis, len(causes))]
+    if diagnosis.verdict in ("unexplained", "partly"):
+        parts += [_unexplained(diagnosis, bool(causes))]
+    seen = [f for f in diagnosis.findings if f.stage == "record"]
+    if seen:
+        names = diagnosis.baseline.model.output_names
+        parts += [f"Seen in the record: {listed(_seen(f, names) for f in seen)}."]
+        # Behind what it is, how much of it may be something else.
+        parts += [f.message.partition(". ")[2] for f in seen if f.effect == "process_noise"]
+        mended = [f for f in seen if f.gain is not None]
+        if mended and not causes:
+            parts += [_gain(diagnosis, mended)]
+    return " ".join(part for part in parts if part)
+
+
+def _missed(diagnosis: DiagnosisFields, subject: str) -> str:
+    """How far the baseline is from the noise, where it is farthest."""
+    excess, place = worst_output(diagnosis)
+    where = f" at {place}" if place else ""
+    if diagnosis.verdict == "noise" and diagnosis.extended is None:
+        missed, poor = _poorest(diagnosis)
+        if missed > MISSED and not diagnosis.white:
+            text = f"What {subject[0].lower()}{subject[1:]} leaves passes for noise, though it is {missed:.0f} % of the"
+            return f"{text} motion at {poor}: so strong an effect that none can be told looks the same."
+        text = f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
+        return text + "nothing is missing that this record could show."
+    if diagnosis.verdict == "unexplained" and excess < ONLY_NOISE:
+        # The floor is what the model itself leaves on the data of the fit.
+        return f"{subject} leaves more than noise{where}."
+    return f"{subject} misses {times(excess)} the noise floor{where}."
+
+
+def _poorest(diagnosis: DiagnosisFields) -> tuple[float, str]:
+    """How much of the motion [%] the baseline misses on the data of the fit at the output that it misses most of."""
+    fits = diagnosis.baseline.fit_percent.get("estimation") or {}
+    fits = {name: fit for name, fit in fits.items() if fit is not None and math.isfinite(fit)}
+    if not fits:
+        return 0.0, ""
+    place = min(fits, key=fits.__getitem__)
+    return 100.0 - fits[place], place
+
+
+def _seen(finding: Finding, names: tuple[str, ...]) -> str:
+    """What is wrong with the record; with its size where it was estimated with the model."""
+    return title_of(finding.effect, finding.location, names) if finding.gain is None else _titled(finding, names)
+
+
+def times(excess: float) -> str:
+    """A ratio as a person says it: 2.8×, 31×."""
+    if not math.isfinite(excess):
+        return "an unknown multiple of"
+    return f"{excess:.2f}×" if excess < 1.95 else f"{excess:.1f}×" if excess < 9.95 else f"{excess:.0f}×"
+
+
+def worst_output(diagnosis: DiagnosisFields) -> tuple[float, str]:
+    """RMSE of the baseline over the noise floor where it is largest, held out if possible, and the output's name."""
+    rmse = diagnosis.baseline.rmse
+    held = rmse.get("validation") or rmse.get("estimation") or {}
+    ratios = {
+        name: value / diagnosis.noise_floor[name]
+        for name, value in held.items()
+        if value is not None and diagnosis.noise_floor.get(name)
+    }
+    ratios = {name: ratio for name, ratio in ratios.items() if math.isfinite(ratio)}
+    if not ratios:
+        return diagnosis.baseline_excess, ""
+    place = max(ratios, key=ratios.__getitem__)
+    return ratios[place], place
+
+
+def _causes(diagnosis: DiagnosisFields, causes: list[Finding]) -> list[str]:
+    """The causes; with the user's own model in two parts, numbers and structure."""
+    if not diagnosis.own_model:
+        return [_named(diagnosis, causes, "Cause" if len(causes) == 1 else "Causes")]
+    wrong = [f for f in causes if f.effect in MODEL_ERRORS]
+    laws = [f for f in causes if f.effect not in MODEL_ERRORS]
+    names = diagnosis.baseline.model.output_names
+    parts = []
+    if wrong:
+        parts.append("Your numbers: " + listed(_correction(f, names) for f in wrong) + ".")
+    if laws:
+        parts.append(_named(diagnosis, laws, "Your structure lacks"))
+    return parts
+
+
+def _correction(finding: Finding, names: tuple[str, ...]) -> str:
+    """How an entry that was given should change."""
+    what = f"the {MODEL_ERRORS[finding.effect]} {place_of(finding.location, names)}"
+    delta = finding.parameters.get("delta")
+    if delta is None:
+        return f"{what} is wrong"
+    size = value_text(abs(delta.value), delta.standard_error, delta.unit, digits=1)
+    text = f"{what} should be {'higher' if delta.value > 0 else 'lower'} by {size}"
+    return text + _rivals(finding, names)
+
+
+def _rivals(finding: Finding, names: tuple[str, ...]) -> str:
+    """The other members of a class, for what is not separated."""
+    others = [m for m in finding.members if (m.effect, m.location) != (finding.effect, finding.location)]
+    if finding.status != "equivalent" or not others:
+        return ""
+    return "".join(f", or {_titled(member, names)}" for member in others)
+
+
+def _titled(one, names: tuple[str, ...]) -> str:
+    """Name, place and parameters of a finding or member."""
+    return ", ".join(filter(None, (title_of(one.effect, one.location, names), parameters_text(one.parameters))))
+
+
+def _named(diagnosis: DiagnosisFields, causes: list[Finding], head: str) -> str:
+    names = diagnosis.baseline.model.output_names
+    texts = []
+    for finding in causes:
+        text = _titled(finding, names) + _rivals(finding, names)
+        texts.append(text + (" (part of it)" if finding.status == "partly" else ""))
+    sentence = f"{head}: {'; '.join(texts)}."
+    if any(f.status == "equivalent" for f in causes):
+        proposed = diagnosis.next_experiment is not None
+        sentence += " This record cannot tell them apart" + (
+            "; an experiment that can is proposed." if proposed else "."
+        )
+    return sentence
+
+
+def _gain(diagnosis: DiagnosisFields, causes: list[Finding]) -> str:
+    """What mending all of it takes off the error, and what is left."""
+    gain = diagnosis.gain
+    if gain is None or not math.isfinite(gain.percent):
+        return ""
+    wrong = sum(f.effect in MODEL_ERRORS for f in causes)
+    verb = "Adding" if not wrong else "Correcting" if wrong == len(causes) else "Mending"
+    count = {1: "it", 2: "both", 3: "all three", 4: "all four"}.get(len(causes), "all of them")
+    if any(f.stage == "record" and f.gain is not None for f in diagnosis.findings) and causes[0].stage == "model":
+        count += ", and mending the record,"
+    error = "the held-out error" if gain.held_out else "the error"
+    if gain.percent > 0:
+        here = " here, though it need not on other records," if gain.held_out and gain.ci95[0] < 0 else ""
+        change = f"{verb} {count} cuts {error}{here} by {gain_text(gain)}"
+    else:
+        change = f"{verb} {count} does not lower {error} ({gain_text(gain)})"
+    if not gain.held_out:
+        change += " on the data it was fitted to (in-sample, not proven on held-out data)"
+    if diagnosis.excess < ONLY_NOISE:
+        # Where the noise is taken from the final model itself, something may be left all the same.
+        if diagnosis.verdict == "partly":
+            return f"{change}."
+        # A finding tied to the clock of one record is left out of the runs on another, and missing there.
+        everywhere = all(f.gain is not None and f.gain.held_out for f in causes)
+        unseen = _left_unseen(diagnosis) if gain.held_out and everywhere else 0.0
+        if unseen >= STANDS_IN:
+            whose = "its law" if len(causes) == 1 else "a law"
+            return f"{change}, but leaves {times(unseen)} the noise floor there: {whose} may stand in for another."
+        if any(f.effect == "process_noise" for f in diagnosis.findings):
+            return f"{change} and leaves what noise at the forces explains."
+        if diagnosis.white:
+            return f"{change} and leaves only noise."
+        return f"{change}; what is left is more than white noise, and no law of the catalogue explains it."
+    return f"{change} and leaves {times(diagnosis.excess)} the noise floor."
+
+
+def _left_unseen(diagnosis: DiagnosisFields) -> float:
+    """Error after mending on held-out data over the noise floor, root mean square over the outputs that have one."""
+    floors = diagnosis.noise_floor
+    left = [after / floors[y] for y, (_, after) in diagnosis.gain.per_output.items() if floors.get(y, 0.0) > 0]
+    return math.sqrt(sum(x**2 for x in left) / max(len(left), 1))
+
+
+def gain_text(gain: Gain) -> str:
+    """64 % (61 to 67)."""
+    low, high = gain.ci95
+    interval = f" ({low:.0f} to {high:.0f})" if math.isfinite(low) and math.isfinite(high) else ""
+    return f"{gain.percent:.0f} %{interval}"
+
+
+def _unexplained(diagnosis: DiagnosisFields, causes: bool) -> str:
+    """What is not named, and on which variables it depends."""
+    head = "What is left has no name in the catalogue" if causes else "No effect of the catalogue explains it"
+    if diagnosis.depends_on:
+        return f"{head}; it depends on {listed(diagnosis.depends_on)}."
+    return f"{head}."
+
+
+_ENTRY = re.compile(r"^(mass|damping|stiffness)\s*\[\s*(.+?)\s*,\s*(.+?)\s*\]$")
+
+
+def entry_of(name: str, outputs: tuple[str, ...]) -> tuple[str, str, str]:
+    """Matrix, row and column (names of outputs) of an entry such as "damping[0,1]"; empty where it is none."""
+    match = _ENTRY.match(name)
+    if match is None:
+        return "", "", ""
+    matrix, *places = match.groups()
+    r, c = (outputs[int(p)] if p.isdigit() and int(p) < len(outputs) else p for p in places)
+    return matrix, r, c
+
+
+def _hidden(diagnosis: DiagnosisFields, causes: int) -> str:
+    """Which entry of the linear model had taken the effect in, if one clearly had."""
+    outputs = diagnosis.baseline.model.output_names
+
+    def clear(shift: ParameterShift) -> bool:
+        matrix, r, c = entry_of(shift.name, outputs)
+        change, after = abs(shift.before - shift.after), abs(shift.after)
+        error = shift.standard_error if shift.standard_error is not None else after / 60
+        shows = after > 3 * error and change > 3 * error and change > 0.01 * after
+        return matrix != "" and r == c and shows and after > 1e-3 * largest[matrix]
+
+    largest = dict.fromkeys(("mass", "damping", "stiffness"), 0.0)
+    for shift in diagnosis.shifts:
+        matrix = entry_of(shift.name, outputs)[0]
+        if matrix:
+            largest[matrix] = max(largest[matrix], abs(shift.after))
+    shifts = [shift for shift in diagnosis.shifts if clear(shift)]
+    if not shifts:
+        return ""
+    most = max(shifts, key=lambda s: abs(s.before / s.after - 1))
+    matrix, place, _ = entry_of(most.name, outputs)
+    where = f"the {matrix}" + (f" at {place}" if len(outputs) > 1 else "")
+    ratio = most.before / most.after
+    percent = 100 * (ratio - 1)
+    share = (
+        f"{percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in"
+        if ratio < MANY
+        else f"{ratio:.{0 if ratio >= 9.95 else 1}f} times"
+    )
+    subject = "It" if causes == 1 else "They"
+    return f"{subject} had been hidden as {share} {where}."
+
+
+def describe(diagnosis: DiagnosisFields) -> str:
+    """Verdict, findings, what is left, the next experiment and warnings.
+
+    **Arguments:** `diagnosis`.
+
+    **Returns:** the text, not ending in a newline.
+    """
+    names = diagnosis.baseline.model.output_names
+    lines = [f"Diagnosis: {diagnosis.verdict}", *_filled(verdict_sentence(diagnosis), "  ")]
+    rows = [("finding", "status", "ΔBIC", "gain", "parameters")]
+    for f in diagnosis.findings:
+        rows.append(
+            (
+                title_of(f.effect, f.location, names),
+                f.status if f.stage == "model" else "record",
+                "–" if f.delta_bic is None else f"{f.delta_bic:.0f}",
+                "–" if f.gain is None else gain_text(f.gain),
+                parameters_text(f.parameters, digits=2) or "–",
+            )
+        )
+    if len(rows) > 1:
+        width = [max(len(row[k]) for row in rows) for k in range(5)]
+        lines += ["  " + "  ".join(text.ljust(w) for text, w in zip(row, width)).rstrip() for row in rows]
+    colour = "white" if diagnosis.white else "not white"
+    lines.append(
+        f"  left: {times(diagnosis.excess)} the noise floor ({diagnosis.noise_floor_source}), {colour}; "
+        f"{len(diagnosis.rejected)} candidates rejected, {len(diagnosis.not_found)} not found"
+    )
+    if diagnosis.next_experiment is not None:
+        lines += _filled(f"next experiment: {diagnosis.next_experiment.text}", "  ")
+    for text in diagnosis.warnings:
+        lines += _filled(f"warning: {text}", "  ")
+    return "\n".join(lines)
+
+
+def _filled(text: str, indent: str) -> list[str]:
+    return textwrap.wrap(text, 108, initial_indent=indent, subsequent_indent=indent)
