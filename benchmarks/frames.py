@@ -1,6 +1,7 @@
 """Shear frames on a moving base and lightly damped structures under forces: does the refinement end where it should?
 
-    python benchmarks/frames.py [--rows three,base,force,starts] [--seeds 20] [--records 200] [--first 1] [--json OUT]
+    python benchmarks/frames.py [--rows three,base,force,diagnosis,starts] [--seeds 20] [--records 200] [--first 1]
+        [--json OUT]
 
 Data come from SciPy (tests/frames.py). Every fit is held against that of the truth itself, which only the noise of the
 samples limits; the errors of M⁻¹K and of the natural frequencies against the Cramér-Rao bound, by central differences
@@ -10,6 +11,8 @@ three   the frame of `tests/frames.py` as a structural engineer would ask for it
 base    random frames of 2 to 8 storeys: damping 0.5 to 5 %, 50 to 400 Hz, 20 to 200 s, motion of the base measured as
         displacement or acceleration, outputs absolute or relative, every kind of sensor that goes with it
 force   random systems of 2 to 6 coordinates under forces, damping 0.2 to 10 %, with each structure that the truth has
+diagnosis  random frames of 2 to 4 storeys on a shaken base with a gap, a bilinear brace, dry friction or a loss of
+        stiffness by 10 % in one storey, from accelerometers on every floor and the base; and as many linear ones
 starts  refinement from M, D, K that are 5, 20 and 50 % off, beside `scipy.optimize.least_squares`
 """
 
@@ -323,6 +326,53 @@ def row_force(seeds):
     return rows
 
 
+def drawn_damage(seed, name):
+    """A frame on a shaken base with a law in one storey (None: linear), its record, the place of the law."""
+    rng = np.random.default_rng([seed, 7])
+    frame = frames.random_frame(rng, int(rng.integers(2, 5)), np.exp(rng.uniform(np.log(0.005), np.log(0.03))))
+    h, samples = 1 / float(rng.choice([100.0, 200.0])), int(rng.choice([4000, 8000]))
+    u = 1.2 * frames.band_noise(rng, samples, 1, (0.5, min(1.5 * frame.frequencies_hz[-1], 0.4 / h)), h)
+    storey = int(rng.integers(len(frame.masses)))
+    place = "y1" if storey == 0 else f"y{storey}-y{storey + 1}"
+    if name is None:
+        clean = frames.shaken(frame.rates, u, h)
+    else:
+        drift = frames.shaken_with(frame, u, h, storey, lambda d, v, share: 0.0)[1]
+        clean = frames.shaken_with(frame, u, h, storey, frames.storey_law(name, frame, storey, drift, rng))[0]
+    noise = np.exp(rng.uniform(np.log(0.001), np.log(0.01))) * clean.std()
+    return record_of(u, clean + noise * rng.standard_normal(clean.shape), h, "acceleration", "acceleration"), place
+
+
+def row_diagnosis(seeds):
+    rows = []
+    for seed in seeds:
+        # As many with a law as without.
+        name = (*frames.LAWS, *[None] * len(frames.LAWS))[seed % (2 * len(frames.LAWS))]
+        record, place = drawn_damage(seed, name)
+        began = time.perf_counter()
+        row = {"seed": seed, "law": name, "place": place, "floors": record.outputs}
+        try:
+            found = jaxgray.diagnose(record, excitation="base-acceleration")
+        except jaxgray.ComputationError as error:
+            rows.append(row | {"failed": str(error)})
+            print(f"diagnosis {rows[-1]}", flush=True)
+            continue
+        named = [f for f in found.findings if f.stage == "model" and f.members]
+        classes = [{(m.effect, m.location) for m in f.members} | {(f.effect, f.location)} for f in named]
+        row |= {"verdict": found.verdict, "found": [(f.effect, f.location, f.status) for f in named]}
+        row |= {"seconds": time.perf_counter() - began, "excess": found.excess}
+        row["in_class"] = len(named) == 1 and (name, place) in classes[0]
+        row["alone"] = row["in_class"] and len(classes[0]) == 1
+        rows.append(row)
+        print(f"diagnosis {row}", flush=True)
+    hidden = [row for row in rows if row["law"]]
+    plain = [row for row in rows if not row["law"]]
+    shares = {k: sum(row.get(k, False) for row in hidden) for k in ("in_class", "alone")}
+    false = sum(bool(row.get("found")) or "failed" in row for row in plain)
+    print(f"diagnosis: {shares} of {len(hidden)}; false or failed {false} of {len(plain)} linear ones")
+    return rows
+
+
 def perturbed(frame, rng, off):
     """M, D, K with every mass, spring and damper off by up to a share of itself."""
     parts = [
@@ -412,10 +462,11 @@ def main():
         results["three"] = row_three(range(given.first, given.first + given.seeds))
     if "starts" in rows:
         results["starts"] = row_starts(range(given.first, given.first + given.seeds))
-    for name, run in (("base", row_base), ("force", row_force)):
+    for name, run in (("base", row_base), ("force", row_force), ("diagnosis", row_diagnosis)):
         if name in rows:
             results[name] = run(records)
-            summary(results[name])
+            if name != "diagnosis":
+                summary(results[name])
     if given.json:
         pathlib.Path(given.json).write_text(json.dumps(results, indent=1))
 

@@ -152,6 +152,7 @@ def judged(rng, case, diagnosis, *, fresh=10):
         "verdict": diagnosis.verdict,
         "label": label(diagnosis, truth),
         "found": [(f.effect, f.location, f.status) for f in found],
+        "found_by": [f.found_by for f in found],
         "record_stage": record_stage,
         "name_and_place": all(single) and bool(truth),
         "in_class": all(in_class) and bool(truth),

@@ -102,6 +102,7 @@ def measured(folder: pathlib.Path, name, file, held_out, source, output, expecte
     members = [{m.effect for m in f.members} | {f.effect} for f in named]
     final = found.baseline if found.extended is None else found.extended
     row = {"verdict": found.verdict, "found": [(f.effect, f.location, f.status) for f in named], "seconds": seconds}
+    row["found_by"] = [f.found_by for f in named]
     row["held_out"] = dict(final.rmse.get("validation", {}))
     row["worth"] = SILENT if not named else WRONG
     if named and members[0] & expected:

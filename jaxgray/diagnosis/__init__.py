@@ -11,6 +11,7 @@ data_checks  what is wrong with the records themselves
 screening    the score test: which effects the residual shows
 noise        noise models, smoothing, noise floor
 model        what is estimated, on what, and its simulation
+acceptance   the one rule by which a candidate becomes a finding
 result, findings, words, settings
 
 Imports go down this list.

@@ -1,5 +1,6 @@
 """What a diagnosis consists of: findings, gains, summaries and curves, as immutable values."""
 
+import enum
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -53,7 +54,7 @@ class Finding:
 
     `effect`, `location`; `status`: named, equivalent, partly or unexplained; `stage`: "model", or "record" for what
     the raw record shows; `members`: the class, the named one first; `parameters` by symbol; `delta_bic` of the refit;
-    `gain`; `message`: one sentence.
+    `gain`; `message`: one sentence; `found_by`: the move by which it came into the model, a value of `Move`.
     """
 
     effect: str
@@ -65,11 +66,55 @@ class Finding:
     delta_bic: float | None
     gain: Gain | None
     message: str = ""
+    found_by: str | None = None
+
+
+class Move(enum.Enum):
+    """How a finding came into the model."""
+
+    SCORE_TEST = "score test"
+    SECOND_SCREENING = "score test without laws that do not hold"
+    FORCE_EQUATION = "force equation"
+    STATIC_GAIN = "static gain"
+    HIDDEN_MODE = "line of the residual"
+    WHITE_NOISE = "free run under white noise"
+    KNOWN_SHAPE = "amplitude beside its known shape"
+    WITH_ANOTHER = "together with a later one"
+    IN_ITS_PLACE = "in the place of another"
+
+
+class Reason(enum.Enum):
+    """Why a candidate is not in the model."""
+
+    NO_EVIDENCE = "too little evidence"
+    FEEDBACK = "a closed loop looks the same"
+    AT_BOUND = "at a physical bound"
+    OTHER_LAW = "another law under this name"
+    UNCERTAIN = "amplitude not significant"
+    NEGLIGIBLE = "explains too little"
+    WORSE = "simulates worse than without it"
+    NO_SURE_GAIN = "no sure gain"
+    NOT_SIMULATED = "could not be simulated"
+    DOMINATED = "far behind another of its round"
+    EXPLAINED_BETTER = "explained better by another"
+    NEEDLESS = "needless beside others"
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A reason, and its sentence."""
+
+    reason: Reason
+    text: str
+
+
+NOT_SIMULATED = Refusal(Reason.NOT_SIMULATED, "its refit could not be simulated")
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """A candidate that passed the gate and was not taken; `gain` and `parameters` of its refit, where there was one."""
+    """A candidate that passed the gate and was not taken: `why` in words, `reason` as a value; `gain` and `parameters`
+    of its refit, where there was one."""
 
     effect: str
     location: str
@@ -77,6 +122,12 @@ class Rejected:
     why: str
     gain: Gain | None = None
     parameters: dict[str, Estimate] = field(default_factory=dict)
+    reason: Reason | None = None
+
+    @classmethod
+    def of(cls, name: tuple[str, str], delta_bic: float, refusal: Refusal, gain: Gain | None = None) -> "Rejected":
+        """The candidate of this effect and place, refused."""
+        return cls(*name, float(delta_bic), refusal.text, gain, reason=refusal.reason)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from .equation_error.without_unmeasured_forces import search_forces
 from .model.free_run import overall, rms_of
 from .noise.whitening import white_part
 from .result import Diagnosis
-from .settings import TIME_LOCAL
 
 Route = Literal["free run", "force equation", "static gain"]
 
@@ -159,7 +158,7 @@ def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | No
         return force_diagnosis(search, found.identification)
     own = (found.baseline if found.extended is None else found.extended).model
     # What else it has belongs to a record's clock, or to a sensor.
-    laws = (t for t in own.effects if isinstance(t.effect, AbstractForceEffect) and t.effect.id not in TIME_LOCAL)
+    laws = (t for t in own.effects if isinstance(t.effect, AbstractForceEffect) and not t.effect.tied_to_clock)
     runs = search.windows.run(dataclasses.replace(own, effects=tuple(laws)))
     here, there = (runs[len(search.records) :] or runs), (search.runs[1] or search.runs[0])
     nearer = overall(rms_of(there), rms_of(here)) < NEARER

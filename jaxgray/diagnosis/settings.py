@@ -27,19 +27,11 @@ STANDING_ALIKE = 10.0
 CONTACT = frozenset({DeadZoneStiffness.id, EndStop.id})
 """Laws that differ in their name alone, by how much of the record is spent in contact."""
 
-TIME_LOCAL = frozenset(
-    (
-        "stiffness_step",
-        "mass_step",
-        "stiffness_drift",
-        "force_step",
-        "sensor_drift",
-        "periodic_disturbance",
-        "clock_scale",
-        "dropped_samples",
-    )
-)
-"""Effects tied to the clock of one record: another record, or another part, may not show them."""
+EXPLAINED = 0.1
+"""Least share of what is left above the noise that a finding must explain."""
+
+MOVED_ALONG = 2.0
+"""|β|/se that is enough where ΔBIC is beyond `CLEAR`."""
 
 CLEAR = 100.0
 """ΔBIC from which something is there, whatever the noise."""

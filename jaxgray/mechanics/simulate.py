@@ -21,9 +21,6 @@ from .statespace import StateSpace, check_hold, hold_matrices, sampled
 RANK_TOLERANCE = 1e-10
 """Relative singular value below which a direction of first state and offset is not determined."""
 
-SCHEDULED = ("position_dependent_stiffness",)
-"""Effects that read the scheduling channel."""
-
 LEAST_NOISE = 1e-6
 """Output noise, relative to the output, that prediction assumes at least: without, it has no gain."""
 
@@ -336,7 +333,7 @@ def _scheduling(model, scheduling, samples) -> Array | None:
     if scheduling is not None:
         return _vector("scheduling", scheduling, samples, "one value per sample")
     for term in model.effects:
-        if term.effect.id in SCHEDULED:
+        if term.effect.scheduled:
             raise ValueError(f"scheduling is missing, and {term.effect.id} of the model reads it; give the channel.")
     return None
 

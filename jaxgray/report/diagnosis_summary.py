@@ -116,6 +116,7 @@ def _finding(finding: Finding) -> dict:
         "delta_bic": finding.delta_bic,
         "gain": _gain(finding.gain),
         "message": finding.message,
+        "found_by": finding.found_by,
     }
 
 

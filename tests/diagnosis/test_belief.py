@@ -7,7 +7,7 @@ import pytest
 
 from jaxgray.diagnosis.conclusions.assembly import picked_up
 from jaxgray.diagnosis.estimation.significance import significance
-from jaxgray.diagnosis.findings import Rejected
+from jaxgray.diagnosis.findings import Reason, Rejected
 from jaxgray.diagnosis.search.forward import _class_of, _unsure
 from jaxgray.diagnosis.settings import SIGNIFICANT
 from jaxgray.mechanics.effects import by_id
@@ -63,9 +63,9 @@ def test_what_is_refused_for_its_error_alone_stays_in_the_class_of_what_explains
 
 def test_only_what_was_refused_for_its_error_alone_in_this_round_is_judged_again():
     ranked = [attempt("cubic_stiffness", -25.0), attempt("sine_stiffness", -20.0), attempt("coulomb_friction", -20.0)]
-    earlier = Rejected("coulomb_friction", "y1", 20.0, "only 1.0 standard errors from nothing")
-    now = Rejected("sine_stiffness", "y1", 20.0, "only 1.8 standard errors from nothing")
-    other = Rejected("cubic_stiffness", "y1", 25.0, "no sure gain on held-out data (0.1 %, from -3.0 %)")
+    earlier = Rejected("coulomb_friction", "y1", 20.0, "only 1.0 standard errors from nothing", reason=Reason.UNCERTAIN)
+    now = Rejected("sine_stiffness", "y1", 20.0, "only 1.8 standard errors from nothing", reason=Reason.UNCERTAIN)
+    other = Rejected("cubic_stiffness", "y1", 25.0, "no sure gain on held-out data", reason=Reason.NO_SURE_GAIN)
     growth = SimpleNamespace(rejected=[earlier, now, other])
     assert [one.name[0] for one in _unsure(growth, ranked, 1)] == ["sine_stiffness"]
     assert growth.rejected == [earlier, other]

@@ -217,7 +217,18 @@ def test_document_has_the_fixed_keys():
     for part in (found["baseline"], found["extended"]):
         assert set(part["fit_percent"]) == set(part["rmse"]) == {"estimation", "validation"}
     (finding,) = found["findings"]
-    keys = {"effect", "location", "status", "stage", "members", "parameters", "delta_bic", "gain", "message"}
+    keys = {
+        "effect",
+        "location",
+        "status",
+        "stage",
+        "members",
+        "parameters",
+        "delta_bic",
+        "gain",
+        "message",
+        "found_by",
+    }
     assert set(finding) == keys
     assert finding["parameters"]["Fc"] == {"value": 0.2412, "standard_error": 0.0023, "unit": "N"}
     assert finding["parameters"]["eps"]["standard_error"] is None

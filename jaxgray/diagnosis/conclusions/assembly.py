@@ -115,6 +115,7 @@ def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, 
                 members[0].parameters,
                 float(accepted.attempt.delta_bic),
                 accepted.gain,
+                found_by=accepted.move.value,
             )
         )
     return tuple(found)

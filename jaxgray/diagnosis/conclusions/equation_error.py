@@ -13,7 +13,7 @@ from ..equation_error.library import Scores
 from ..equation_error.regression import ForceFit
 from ..equation_error.search import Search
 from ..equation_error.unmeasured_forces import warnings_of
-from ..findings import Curves, Finding, Member, ModelSummary, NotFound
+from ..findings import Curves, Finding, Member, ModelSummary, Move, NotFound
 from ..model.free_run import FreeRun, overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.whitening import white_part
@@ -126,6 +126,7 @@ def _finding(search: Search, index: int) -> Finding:
         taken.gain,
         f"Relative force error {before:.3g} before, {taken.error:.3g} after."
         + (f" {', '.join(shared)} is that of the finding before." if shared else ""),
+        Move.FORCE_EQUATION.value,
     )
 
 

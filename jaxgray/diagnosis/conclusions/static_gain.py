@@ -10,7 +10,7 @@ from ...mechanics.model import MechanicalModel
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from ..data_checks.record_findings import noise_findings
-from ..findings import Curves, Finding, Member, ModelSummary
+from ..findings import Curves, Finding, Member, ModelSummary, Move
 from ..model.free_run import overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..result import Diagnosis
@@ -50,7 +50,16 @@ def static_diagnosis(
             members.append(_member(rival.fit, len(rival.fit.terms) - 1, rival.share, record, difference))
         status = "equivalent" if rivals else "named"
         findings.append(
-            Finding(*trial.name, status, "model", tuple(members), members[0].parameters, trial.delta_bic, gain)
+            Finding(
+                *trial.name,
+                status,
+                "model",
+                tuple(members),
+                members[0].parameters,
+                trial.delta_bic,
+                gain,
+                found_by=Move.STATIC_GAIN.value,
+            )
         )
     if strong:
         verdict = "partly" if findings else "unexplained"

@@ -10,7 +10,7 @@ from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Place
 from ..model.candidate import estimated
 from ..screening.features import Shape
 from ..screening.score_test import Score, allowed
-from ..settings import GATE, TIME_LOCAL
+from ..settings import GATE
 from .regression import Equation, ForceFit, Weight
 
 WIDER = (0.25, 4.0)
@@ -65,9 +65,9 @@ class Library:
         """
         library = cls(equation)
         for effect in catalogue:
-            if not isinstance(effect, AbstractForceEffect) or effect.id in TIME_LOCAL:
+            if not isinstance(effect, AbstractForceEffect) or effect.tied_to_clock:
                 continue
-            if effect.id == "position_dependent_stiffness" and not any(np.any(s.scheduling) for s in equation.series):
+            if effect.scheduled and not any(np.any(s.scheduling) for s in equation.series):
                 continue
             places = places_of(effect, *names)
             for place in places:

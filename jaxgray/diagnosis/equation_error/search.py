@@ -16,10 +16,11 @@ from ...mechanics.model import MechanicalModel
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record
-from ..findings import Gain, Rejected
+from ..acceptance import AbstractEvidence, bound_of, negligible, unproven, unsound
+from ..findings import Gain, Reason, Refusal, Rejected
 from ..model.free_run import FreeRun, rms_of
 from ..model.held_out_gain import gain_of
-from ..settings import ACCEPTED, ALIKE, GATE, SIGNIFICANT
+from ..settings import ALIKE, GATE, SIGNIFICANT
 from .library import Library, Scores, score
 from .regression import Equation, ForceFit
 from .rows import band_of, series_of
@@ -34,9 +35,6 @@ STARTS = 3
 
 MOST = 0.8
 """Share of what the best law explains that a simpler one must explain to be preferred."""
-
-EXPLAINED = 0.1
-"""Least share of the remaining power of the force that a finding must explain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +200,8 @@ def _trials(search: Search) -> list[Trial]:
         fits = [equation.fit((*search.fit.terms, one.shape.term(one.weights)), weight) for one in ones]
         fits = [fit for fit in fits if fit is not None]
         if not fits:
-            search.rejected.append(Rejected(*key, float("nan"), "its refit found nothing finite of positive mass"))
+            why = Refusal(Reason.NOT_SIMULATED, "its refit found nothing finite of positive mass")
+            search.rejected.append(Rejected.of(key, np.nan, why))
             continue
         best = min(fits, key=lambda fit: fit.criterion)
         delta = without.criterion - best.criterion - 2 * np.log(ones[0].shape.tried)
@@ -214,32 +213,42 @@ def _power(fit: ForceFit) -> float:
     return fit.cost / fit.count
 
 
-def _refused(search: Search, trial: Trial) -> str | None:
-    """Why a refit cannot be believed, before any held-out data are looked at."""
-    if trial.delta_bic < ACCEPTED:
-        return f"the refit explains too little (ΔBIC {trial.delta_bic:.0f})"
-    where = trial.fit.moving[-1]
-    for j in where:
-        parameter, value = trial.term.effect.parameters[j], float(trial.term.values[j])
-        for bound in (parameter.lower, parameter.upper):
-            if np.isfinite(bound) and abs(value - bound) <= 1e-9 * max(abs(bound), abs(value), 1e-300):
-                return f"{parameter.name} ran to its physical bound"
-    other_law = trial.term.effect.unresolved(
-        np.asarray(trial.term.values, float), search.equation.scales(trial.term.effect, trial.term.place)
-    )
-    if other_law is not None:
-        return other_law
+@dataclass(frozen=True)
+class _Evidence(AbstractEvidence):
+    """What the force equation says of a trial."""
+
+    search: Search
+    trial: Trial
+
+    @property
+    def delta_bic(self) -> float:
+        return self.trial.delta_bic
+
+    def bound(self):
+        return bound_of(self.trial.term, self.trial.fit.moving[-1])
+
+    def other_law(self):
+        term = self.trial.term
+        scales = self.search.equation.scales(term.effect, term.place)
+        return term.effect.unresolved(np.asarray(term.values, float), scales)
+
+    def size(self):
+        return self.trial.fit.significance(len(self.trial.fit.terms) - 1)
+
+    def explained(self):
+        before, after = (self.search.error(fit) for fit in (self.search.fit, self.trial.fit))
+        return 1 - (after / before) ** 2
+
+
+def _refused(search: Search, trial: Trial) -> Refusal | None:
+    """Why a refit cannot be accepted, before any held-out data are looked at."""
+    evidence = _Evidence(search, trial)
+    if (refusal := unsound(evidence)) is not None:
+        return refusal
     place, parts = trial.term.place.name, _symbols(trial.term)
     if sum(t.trial.term.place.name == place and bool(_symbols(t.trial.term) & parts) for t in search.taken) > 1:
-        return "a second refinement of what is in the model already"
-    size = trial.fit.significance(len(trial.fit.terms) - 1)
-    if size < SIGNIFICANT:
-        return f"only {size:.1f} standard errors from nothing"
-    before, after = (search.error(fit) for fit in (search.fit, trial.fit))
-    share = 1 - (after / before) ** 2
-    if share < EXPLAINED:
-        return f"explains only {100 * share:.0f} % of what is left of the force"
-    return None
+        return Refusal(Reason.NEEDLESS, "a second refinement of what is in the model already")
+    return negligible(evidence, "what is left of the force")
 
 
 def _ordered(search: Search, trials: list[Trial]) -> list[Trial]:
@@ -270,9 +279,8 @@ def _round(search: Search) -> bool:
         why = _refused(search, trial)
         if why is None:
             passed.append(trial)
-        else:
-            if trial.delta_bic > 0:
-                search.rejected.append(Rejected(*trial.name, trial.delta_bic, why))
+        elif trial.delta_bic > 0:
+            search.rejected.append(Rejected.of(trial.name, trial.delta_bic, why))
     search.strong = bool(passed)
     names = search.records[0].output_names
     for trial in _ordered(search, passed):
@@ -283,12 +291,12 @@ def _round(search: Search) -> bool:
         runs = search.run(fit)
         before, after, base = (x[1] or x[0] for x in (search.runs, runs, search.base_runs))
         if not all(np.all(np.isfinite(run.e)) for run in after):
-            search.rejected.append(Rejected(*trial.name, trial.delta_bic, "its free run on windows overflows"))
+            why = Refusal(Reason.NOT_SIMULATED, "its free run on windows overflows")
+            search.rejected.append(Rejected.of(trial.name, trial.delta_bic, why))
             continue
         gain = gain_of(before, after, base, rms_of(base), names, held_out=bool(runs[1]), rng=search.rng)
-        if not gain.ci99_lower > 0:
-            why = f"no sure gain on held-out windows ({gain.percent:.1f} %, from {gain.ci99_lower:.1f} %)"
-            search.rejected.append(Rejected(*trial.name, trial.delta_bic, why))
+        if (why := unproven(gain, "held-out windows")) is not None:
+            search.rejected.append(Rejected.of(trial.name, trial.delta_bic, why, gain))
             continue
         rivals = []
         for other in passed:
@@ -302,7 +310,8 @@ def _round(search: Search) -> bool:
                 words = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
                 if difference < 0:
                     words = f"explains little more than {' at '.join(trial.name)}, with more parameters"
-                search.rejected.append(Rejected(*other.name, other.delta_bic, words))
+                why = Refusal(Reason.EXPLAINED_BETTER, words)
+                search.rejected.append(Rejected.of(other.name, other.delta_bic, why))
         search.fit, search.runs = fit, runs
         search.taken.append(Taken(trial, tuple(rivals[:3]), gain, search.error(fit), runs))
         return True
@@ -331,8 +340,8 @@ def _backward(search: Search) -> None:
             old, new = (search.equation.fit(one.terms, weight) for one in (before, fit))
             pair = gone.trial, float(new.criterion - old.criterion)
             search.taken[-1] = dataclasses.replace(last, stood_in=(*last.stood_in, pair))
-        why = "needless once the others are in the model"
-        search.rejected.append(Rejected(*gone.trial.name, gone.trial.delta_bic, why))
+        why = Refusal(Reason.NEEDLESS, "needless once the others are in the model")
+        search.rejected.append(Rejected.of(gone.trial.name, gone.trial.delta_bic, why))
         search.fit, search.runs = fit, runs
         search.taken[-1] = dataclasses.replace(search.taken[-1], runs=runs)
         return

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractOutputEffect, Scales, Term
+from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractOutputEffect, Scales, Term, onset_of
 from ..model.candidate import Candidate
 from ..noise.whitening import Chain, counted
 from .context import Bench, chain_of
@@ -32,22 +32,21 @@ THREE = 3.0
 def softened(term: Term, scales: Scales) -> list[Term]:
     """The terms to refit one after the other: a sudden change first smeared over the distance between the times that
     were tried, since only the samples inside its edge can tell where it belongs."""
-    names = [p.name for p in term.effect.parameters]
-    if "width" not in names or len(scales.times) < 2:
+    if not term.effect.onset or len(scales.times) < 2:
         return [term]
+    _, at = onset_of(term.effect)
     spacing = scales.times[1] - scales.times[0]
     result = []
     for width in (2 * spacing, spacing / 2, spacing / 8, scales.sampling_time):
         values = np.array(term.values, float)
-        values[names.index("width")] = width
+        values[at] = width
         result.append(Term(term.effect, term.place, values))
     return result
 
 
 def width_of(term: Term) -> float:
     """Over how long [s] the jump of a term is smeared, 0 where there is none."""
-    names = [p.name for p in term.effect.parameters]
-    return float(term.values[names.index("width")]) if "width" in names else 0.0
+    return float(term.values[onset_of(term.effect)[1]]) if term.effect.onset else 0.0
 
 
 def dated(bench: Bench, candidate: Candidate, chain: Chain, span: float) -> Candidate:
@@ -62,10 +61,9 @@ def dated(bench: Bench, candidate: Candidate, chain: Chain, span: float) -> Cand
     **Returns:** a `Candidate`; nothing but the moment differs.
     """
     term = candidate.terms[-1]
-    names = [p.name for p in term.effect.parameters]
-    if not isinstance(term.effect, AbstractOutputEffect) or not {"t0", "width"} <= set(names):
+    if not isinstance(term.effect, AbstractOutputEffect) or not term.effect.onset:
         return candidate
-    data, at = bench.data[0], names.index("t0")
+    data, at = bench.data[0], onset_of(term.effect)[0]
     step = max(width_of(term) / 2, data.sampling_time)
     count = int(span / step)
     end = data.samples * data.sampling_time
@@ -129,9 +127,7 @@ def moment_errors(bench: Bench, fit: Refit, index: int, errors: dict[int, float]
 
 def _moment_of(effect: AbstractEffect) -> int | None:
     """Position of the moment at which a force begins; None for other laws."""
-    names = [p.name for p in effect.parameters]
-    sudden = isinstance(effect, AbstractForceEffect) and {"t0", "width"} <= set(names)
-    return names.index("t0") if sudden else None
+    return onset_of(effect)[0] if isinstance(effect, AbstractForceEffect) and effect.onset else None
 
 
 def _looked(bench: Bench, candidate: Candidate, chain: Chain, at: int) -> tuple[np.ndarray, np.ndarray, list]:

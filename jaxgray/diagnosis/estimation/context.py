@@ -13,7 +13,7 @@ from ...mechanics.effects.base import AbstractEffect
 from ...numerics.progress import AbstractProgress
 from ..model.candidate import Data
 from ..model.simulator import Simulator
-from ..noise.whitening import Chain, estimate_chain
+from ..noise.whitening import Chain, estimate_chain, white_chain
 from ..screening.linearization import sampled_plant
 from .gauss_newton import Refit
 
@@ -29,7 +29,8 @@ class Bench:
     that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
     of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
     `forces`: gives what the force equation finds (None where it has no solution), where it may be asked;
-    `out_of_step`: whether the free run is of no use unless that brings it into step.
+    `out_of_step`: whether the free run is of no use unless that brings it into step; `white`: whether the noise is
+    taken for white whatever a refit leaves, not estimated with it.
     """
 
     simulator: Simulator
@@ -45,6 +46,7 @@ class Bench:
     identified: "Identified | None" = None
     forces: "Callable[[], Search | None] | None" = None
     out_of_step: bool = False
+    white: bool = False
 
 
 _chains: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKeyDictionary()
@@ -52,6 +54,10 @@ _chains: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKe
 
 def chain_of(bench: Bench, fit: Refit) -> Chain:
     """The whitening chain of what a refit leaves of the first record; estimated once, however often it is asked for."""
+    if bench.white:
+        data = bench.data[0]
+        system = sampled_plant(bench.simulator.plant(fit.candidate), data, bench.simulator.setup.dofs)
+        return white_chain(fit.residual[0], data.kept, system)
     data, known = bench.data[0], _chains.get(fit)
     if known is None or known[0] is not data:
         _chains[fit] = known = data, _estimated(bench, fit, data)

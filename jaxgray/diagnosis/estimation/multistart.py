@@ -9,7 +9,8 @@ from ...mechanics.effects.base import Term
 from ...mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ...mechanics.extended import arm_of
 from ...numerics.side_by_side import side_by_side
-from ..findings import Rejected
+from ..acceptance import at_its_bound
+from ..findings import NOT_SIMULATED, Reason, Refusal, Rejected
 from ..noise.whitening import Chain
 from ..screening.linearization import Stage, rows_of
 from ..screening.score_test import Score
@@ -23,9 +24,6 @@ from .significance import at_bound, evidence
 
 TOGETHER = 2
 """First refits beside one another, which know the best of those before them; as many on any machine."""
-
-WEAKER = "explains less than the best candidate of its round"
-"""Why a law is not carried to its end."""
 
 HELD_BACK = 4
 """Steps for which a term keeps its first size while the linear model gives back what it had taken."""
@@ -94,6 +92,11 @@ def _simpler(scores: list[Score]) -> list[tuple[str, str]]:
     return [(simpler, shape.place.name) for simpler in shape.effect.contains]
 
 
+def dominated(behind: float) -> Refusal:
+    """The refusal of a law that is not carried to its end, being so far behind another."""
+    return Refusal(Reason.DOMINATED, f"explains less than the best candidate of its round (by {behind:.0f})")
+
+
 def criterion_of(bench: Bench, score: Score, fit: Refit) -> float:
     """BIC of a refit under the chain that it was found under: N ln cost, and what its shape costs."""
     return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(bench, score)
@@ -133,17 +136,16 @@ def _outright(
                 rough[name] = criterion, score, fit
     for scores in listed:
         if (name := _name(scores[0])) not in rough:
-            why = unlike.get(name, "its refit could not be simulated")
-            rejected.append(Rejected(*name, scores[0].delta_bic, why))
+            why = Refusal(Reason.OTHER_LAW, unlike[name]) if name in unlike else NOT_SIMULATED
+            rejected.append(Rejected.of(name, scores[0].delta_bic, why))
     going: dict[tuple[str, str], tuple[Score, Refit]] = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
         if criterion > best + HOPELESS:
-            why = f"{WEAKER} (by {criterion - best:.0f})"
-            rejected.append(Rejected(*name, score.delta_bic, why))
+            rejected.append(Rejected.of(name, score.delta_bic, dominated(criterion - best)))
             continue
         bound = at_bound(fit, len(fit.candidate.terms) - 1)
         if bound is not None and criterion > best:
-            rejected.append(Rejected(*name, score.delta_bic, f"{bound} ran to its physical bound"))
+            rejected.append(Rejected.of(name, score.delta_bic, at_its_bound(bound)))
             continue
         going[name] = score, fit
 
@@ -195,10 +197,10 @@ def _beyond(bench: Bench, base: _Base, scores: list[Score]) -> tuple[Score, Refi
         if fit is not None:
             found.append((criterion_of(bench, score, fit), score, fit))
     if not found:
-        return Rejected(*name, scores[0].delta_bic, "its refit could not be simulated")
+        return Rejected.of(name, scores[0].delta_bic, NOT_SIMULATED)
     if min(criterion for criterion, *_ in found) > most:
-        why = f"explains no more than {base.score.shape.effect.id}, which it contains"
-        return Rejected(*name, scores[0].delta_bic, why)
+        words = f"explains no more than {base.score.shape.effect.id}, which it contains"
+        return Rejected.of(name, scores[0].delta_bic, Refusal(Reason.NEEDLESS, words))
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
     # A start that is ahead after a few steps need not lead to the best end.
     ends = [(score, pursued(bench, fit)) for criterion, score, fit in found if criterion <= most]
@@ -220,7 +222,7 @@ def _followed(
     near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < HOPELESS}
     for name, (score, _) in fits.items():
         if name not in near:
-            rejected.append(Rejected(*name, score.delta_bic, f"{WEAKER} (by {costs[name] - costs[best]:.0f})"))
+            rejected.append(Rejected.of(name, score.delta_bic, dominated(costs[name] - costs[best])))
 
     def again(name):
         return sharp if name == best else at_the_same_steps(bench, near[name])

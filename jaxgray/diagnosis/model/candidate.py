@@ -137,13 +137,10 @@ class Candidate:
         return dataclasses.replace(self, entries=np.asarray(entries, float))
 
 
-OF_FIRST = frozenset(("periodic_disturbance",))
-"""Effects of the first record alone: what hums has another phase in every record."""
-
-
 def of_record(candidate: Candidate, record: int) -> list[bool]:
-    """Which terms of a candidate act in a record of the fit, by its position."""
-    return [record == 0 or term.effect.id not in OF_FIRST for term in candidate.terms]
+    """Which terms of a candidate act in a record of the fit, by its position: what has another phase in every record is
+    in the first one alone."""
+    return [record == 0 or not term.effect.own_phase for term in candidate.terms]
 
 
 def estimated(term: Term) -> list[int]:

@@ -112,7 +112,7 @@ def features(
     all_shapes, groups = [], {}
     outputs = len(output_names)
     for effect in catalogue:
-        if effect.id == "position_dependent_stiffness" and not np.any(data.scheduling):
+        if effect.scheduled and not np.any(data.scheduling):
             continue
         places = [p for p in places_of(effect, input_names, output_names) if (effect.id, p.name) not in taken]
         for place in places:

@@ -87,11 +87,16 @@ def look_closer(
     catalogue: tuple[AbstractEffect, ...],
     names: tuple[tuple[str, ...], tuple[str, ...]],
     chain: Chain | None = None,
+    *,
+    renewed: bool = True,
 ) -> Screening:
-    """The ranking: candidates with features from the measured motion, smoothed; the chain is begun anew without one."""
+    """The ranking: candidates with features from the measured motion, smoothed; the chain is begun anew without one,
+    and left as it is where it is not `renewed`."""
     motion = measured_motion(stage, data)
     made = _features(stage, motion, data, catalogue, names)
-    begun, rounds = (white_chain(stage.e, data.kept, stage.system), 3) if chain is None else (chain, 1)
+    begun, rounds = (
+        (white_chain(stage.e, data.kept, stage.system), 3) if chain is None else (chain, 1 if renewed else 0)
+    )
     return screen(stage.e, stage.J, data, made, stage.system, stage.force, begun, rounds=rounds)
 
 

@@ -155,14 +155,14 @@ def screen(
     in turn with the scores, each time on the residual without sensitivities and without the best few responses.
 
     **Arguments:** `e`, `J`: free-run residual and its sensitivities; `data`; `features`; `system`, `force`: for
-    `estimate_chain`; `chain` to begin with; `rounds`; `picked`: how many are removed at most; `surrogates`: noise
-    residuals that calibrate the gate; `rng` for them.
+    `estimate_chain`; `chain` to begin with; `rounds`: 0 leaves the chain as it is; `picked`: how many are removed at
+    most; `surrogates`: noise residuals that calibrate the gate; `rng` for them.
 
     **Returns:** a `Screening`.
     """
     products = Products(chain, e, J, features.responses, data.kept)
     first, overflowed = score_all(products, features)
-    few, scores = features, first
+    few, scores, clean = features, first, e
     for turn in range(rounds):
         clean = without(e, J, few, products, scores, data.kept, chain.level, picked)
         renewed = estimate_chain(clean, data.kept, system, force)

@@ -14,7 +14,7 @@ from ..estimation.context import Bench, chain_of
 from ..estimation.gauss_newton import Refit, refit, with_states
 from ..estimation.multistart import moving
 from ..estimation.significance import evidence, significance
-from ..findings import Rejected
+from ..findings import Reason, Refusal, Rejected
 from ..model.candidate import Candidate
 from ..model.parameter_vector import Layout
 from ..settings import ACCEPTED, SIGNIFICANT
@@ -54,7 +54,7 @@ def _unite(bench: Bench, growth: Growth) -> None:
     if change >= ACCEPTED:
         return
     why = f"contained in {wide.effect.id}, which explains as much alone"
-    growth.rejected.append(Rejected(*gone.attempt.name, float(change), why))
+    growth.rejected.append(Rejected.of(gone.attempt.name, change, Refusal(Reason.NEEDLESS, why)))
     # What stood for either of them was refitted beside other terms; it is compared with their sum at the end.
     known = {r.name: r for r in (*gone.rivals, *accepted.rivals) if r.name != accepted.attempt.name}
     rivals = tuple(dataclasses.replace(r, criterion=np.inf) for r in known.values())
@@ -91,7 +91,8 @@ def _dropped(bench: Bench, growth: Growth) -> bool:
         change = ratio - gone.score.shape.free * np.log(rows)
         if change < ACCEPTED:
             growth.accepted.pop(k)
-            growth.rejected.append(Rejected(*gone.name, float(change), "needless once the others are in the model"))
+            why = Refusal(Reason.NEEDLESS, "needless once the others are in the model")
+            growth.rejected.append(Rejected.of(gone.name, change, why))
             _take(bench, growth, fit)
             if k == len(growth.accepted):
                 _credit(growth, gone.delta_bic - change)
@@ -130,7 +131,7 @@ def _simplify(bench: Bench, growth: Growth) -> None:
             if ratio >= max(accepted.attempt.score.shape.free - shape.free, 1) * np.log(rows):
                 continue
             why = f"the same as {simpler.id} with a parameter that explains nothing beside the others"
-            growth.rejected.append(Rejected(*accepted.attempt.name, float(ratio), why))
+            growth.rejected.append(Rejected.of(accepted.attempt.name, ratio, Refusal(Reason.NEEDLESS, why)))
             score = dataclasses.replace(accepted.attempt.score, shape=shape)
             attempt = dataclasses.replace(accepted.attempt, score=score)
             # Rivals that contain it, too, are it with something that explains nothing.

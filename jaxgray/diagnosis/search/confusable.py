@@ -1,20 +1,13 @@
 """Laws that a record hardly tells apart: which stand for one another, and which is another with something needless."""
 
+from collections.abc import Iterable
+
 import numpy as np
 import scipy.special
 
+from ...mechanics.effects.base import AbstractEffect
 from ..estimation.multistart import Attempt
 from ..settings import ALIKE, STANDING_ALIKE
-
-STANDING = (
-    frozenset(("input_delay", "actuator_lag", "intersample_hold", "sensor_delay", "sensor_lag")),
-    frozenset(("constant_force", "sensor_offset")),
-    frozenset(("stiffness_step", "mass_step")),
-    frozenset(("cubic_stiffness", "end_stop", "dead_zone_stiffness", "sine_stiffness")),
-    frozenset(("bouc_wen_hysteresis", "maxwell_slip_hysteresis", "dahl_friction")),
-    frozenset(("bilinear_stiffness", "quadratic_stiffness")),
-)
-"""Laws that are easily alike: one of them is ruled out only by more, and never unheard."""
 
 LEVEL = 0.01
 """Probability at which chance alone makes further parameters of a law pay."""
@@ -25,18 +18,20 @@ CLEARLY = float(np.sqrt(scipy.special.chdtri(1, LEVEL)))
 STANDING_LEVEL = 0.1
 """The same for laws that stand for one another: a parameter that may well be there leaves both of them."""
 
-SPECIAL = {("bouc_wen_hysteresis", "dahl_friction")}
-"""Laws that contain another under other names: Dahl's friction is A = Fc/x_d, beta = 1/x_d, gamma = 0."""
+
+def look_alikes(effect: AbstractEffect, catalogue: Iterable[AbstractEffect]) -> frozenset[str]:
+    """Ids of the laws of a catalogue that are easily taken for one."""
+    return frozenset(other.id for other in catalogue if resemble(effect, other) and other.id != effect.id)
 
 
-def standing_for(effect_id: str) -> frozenset[str]:
-    """Ids of the laws that are easily taken for one."""
-    return frozenset().union(*(group for group in STANDING if effect_id in group)) - {effect_id}
+def resemble(one: AbstractEffect, other: AbstractEffect) -> bool:
+    """Whether a record hardly tells two laws apart: one of them is ruled out only by more, and never untried."""
+    return bool(one.resembles) and one.resembles == other.resembles
 
 
 def alike(best: Attempt, other: Attempt) -> float:
     """Difference of BIC within which two attempts count as one class."""
-    return STANDING_ALIKE if other.name[0] in standing_for(best.name[0]) else ALIKE
+    return STANDING_ALIKE if resemble(other.score.shape.effect, best.score.shape.effect) else ALIKE
 
 
 def simplified(ranked: list[Attempt]) -> list[Attempt]:
@@ -52,7 +47,7 @@ def needless(rival: Attempt, best: Attempt) -> bool:
     near nothing, both at 1 %, since several laws with more in them are tried. Only the ratio speaks, at 10 %, where the
     names of the parameters differ and the laws stand for one another."""
     small, large = best.score.shape, rival.score.shape
-    special = (large.effect.id, small.effect.id) in SPECIAL
+    special = small.effect.id in large.effect.renamed
     if rival.name[1] != best.name[1] or not (special or small.effect.id in large.effect.contains):
         return False
     terms, known = rival.fit.candidate.terms, {p.name for p in small.effect.parameters}

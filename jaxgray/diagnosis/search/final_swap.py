@@ -11,7 +11,7 @@ from ..estimation.element_sums import at_fewer_everywhere
 from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import Attempt, moving
 from ..estimation.significance import evidence
-from ..findings import Rejected
+from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
 from ..model.free_run import overall
 from ..noise.whitening import Chain
 from .confusable import alike, needless
@@ -60,7 +60,7 @@ def _class_again(bench: Bench, growth: Growth, k: int) -> None:
     for rival in accepted.rivals:
         fit = _beside(bench, growth, rival, k, chain)
         if fit is None:
-            growth.rejected.append(Rejected(*rival.name, rival.delta_bic, "its refit could not be simulated"))
+            growth.rejected.append(Rejected.of(rival.name, rival.delta_bic, NOT_SIMULATED))
             continue
         members.append(dataclasses.replace(rival, fit=fit, criterion=_worth(bench, fit, chain) + rival.penalty))
     best = min(members, key=lambda member: member.criterion)
@@ -75,13 +75,13 @@ def _class_again(bench: Bench, growth: Growth, k: int) -> None:
             rivals.append(dataclasses.replace(member, criterion=own.criterion + behind))
             continue
         why = f"explained better by {' at '.join(best.name)} once the others are in the model (by {behind:.0f})"
-        growth.rejected.append(Rejected(*member.name, member.delta_bic, why))
+        growth.rejected.append(Rejected.of(member.name, member.delta_bic, Refusal(Reason.EXPLAINED_BETTER, why)))
         growth.tried[member.name] = member.fit
     if best is members[0]:
         growth.accepted[k] = dataclasses.replace(accepted, rivals=tuple(rivals))
         return
     taken = dataclasses.replace(best, fit=own.fit, criterion=own.criterion)
-    growth.accepted[k] = dataclasses.replace(accepted, attempt=taken, rivals=tuple(rivals))
+    growth.accepted[k] = dataclasses.replace(accepted, attempt=taken, rivals=tuple(rivals), move=Move.IN_ITS_PLACE)
     _go_on(bench, growth, best.fit)
 
 

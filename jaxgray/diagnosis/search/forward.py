@@ -6,35 +6,40 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
 from ...numerics.runtime import relieve
-from ..estimation.context import Bench
-from ..estimation.multistart import WEAKER, Attempt, attempts_of, compared, unresolved
+from ...numerics.side_by_side import side_by_side
+from ..acceptance import at_its_bound, unsound
+from ..estimation.context import Bench, chain_of
+from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
 from ..estimation.significance import at_bound
-from ..findings import Rejected
-from ..model.candidate import Candidate
+from ..findings import Move, Reason, Refusal, Rejected
+from ..model.candidate import Candidate, Data
 from ..model.held_out_gain import gain_of
-from ..noise.whitening import white_chain
+from ..noise.whitening import estimate_chain, white_chain
 from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import Stage, look, look_closer
 from ..screening.score_test import Screening
-from ..screening.shortlist import listed_with, shortlist
-from ..settings import ACCEPTED, CLEAR
+from ..screening.shortlist import adds_mode, listed_with, shortlist
+from ..settings import ACCEPTED, CLEAR, EXPLAINED
 from ..starts.equation_error import from_forces, heard
 from ..starts.force_matching import left_behind
 from ..starts.lookalikes import instead_of, unheard
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
-from .acceptance import UNSURE, floor_of, judged, unsound
+from .acceptance import Evidence, floor_of, judged
 from .backward import prune
-from .confusable import alike, needless, simplified, standing_for
+from .confusable import alike, look_alikes, needless, simplified
 from .final_swap import rejudge
-from .provisional import by_free_run, by_free_runs, lend, lendable, withdraw
-from .state import Accepted, Growth, held_out_run, runs_seen, stage_of_candidate
+from .provisional import by_free_run, lend, lendable, withdraw
+from .state import Accepted, Growth, held_out_run, is_local, runs_seen, stage_of_candidate
 
 SLIGHT = 0.02
 """Share of what is left that the best effect must explain for "unexplained" to be said when no refit holds."""
 
+COMPARABLE = 0.3
+"""Motion of held-out data relative to that of the fit from which they can refute coloured noise."""
+
 HALVED = 50.0
-"""Gain [%] on held-out data from which something is there, whatever the colour of the noise."""
+"""Gain [%] on held-out data that refutes coloured noise where these move less."""
 
 SPARED = 3
 """Rounds that but rule something out, and do not count."""
@@ -89,7 +94,8 @@ def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffe
     growth.unexplained = screening.fires
     if bench.out_of_step and not growth.stage.candidate.terms and heard(bench):
         growth.unexplained = True
-        return 1 if left > 0 and _accepted(bench, growth, from_forces(bench, growth.stage, screening)) else None
+        first = from_forces(bench, growth.stage, screening) if left > 0 else []
+        return 1 if _accepted(bench, growth, first, Move.FORCE_EQUATION) else None
     closer = None
     if not screening.fires and not _strong(screening):
         closer = _behind_the_noise(bench, growth.stage, screening)
@@ -98,8 +104,8 @@ def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffe
             closer = _closer(bench, growth.stage, screening)
         if closer is None:
             found = left > 0 and (
-                _accepted(bench, growth, hidden_modes(bench, growth.stage, screening))
-                or _accepted(bench, growth, from_forces(bench, growth.stage, screening))
+                _accepted(bench, growth, hidden_modes(bench, growth.stage, screening), Move.HIDDEN_MODE)
+                or _accepted(bench, growth, from_forces(bench, growth.stage, screening), Move.FORCE_EQUATION)
             )
             return 1 if found else None
     if left <= 0:
@@ -115,15 +121,18 @@ def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffe
         # Far behind laws that do not hold, and looked for under what these leave.
         others = _without(bench, growth, searched, screening, ranked)
         second = [] if others is None else _refitted(bench, growth, *others)
-        if _accepted(bench, growth, second):
+        if _accepted(bench, growth, second, Move.SECOND_SCREENING):
             return 1
         ranked = compared(bench, growth.stage, ranked + second) if second else ranked
     refitted = frozenset(attempt.name for attempt in ranked)
-    if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted)):
+    if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted), Move.HIDDEN_MODE):
         return 1
-    if _accepted(bench, growth, by_free_runs(bench, growth, ranked)[:1], least=HALVED):
+    white = dataclasses.replace(bench, white=True)
+    least = 100 * EXPLAINED if _moves(bench) else HALVED
+    free = _under_white_noise(white, growth, screening, ranked)
+    if _accepted(white, growth, free, Move.WHITE_NOISE, least=least, most=1):
         return 1
-    if _accepted(bench, growth, _unsure(growth, ranked, before), given_shape=True):
+    if _accepted(bench, growth, _unsure(growth, ranked, before), Move.KNOWN_SHAPE, given_shape=True):
         return 1
     refuted = screening.fires and _refuted(bench, growth, ranked, searched)
     growth.unexplained = screening.fires and not refuted
@@ -135,6 +144,50 @@ def _closer(bench: Bench, stage: Stage, screening: Screening) -> Screening:
     """The ranking under the chain of the gate, or under its own where that shows nothing."""
     closer = look_closer(stage, bench.data[0], bench.catalogue, bench.names, screening.chain)
     return closer if closer.shows else look_closer(stage, bench.data[0], bench.catalogue, bench.names)
+
+
+def _under_white_noise(bench: Bench, growth: Growth, screening: Screening, ranked: list[Attempt]) -> list[Attempt]:
+    """Candidates refitted under white noise, best first, none without other data to judge them by; begun as any, and
+    where they ended under the noise that was estimated (`ranked`).
+
+    Where a second effect is missing, the noise model that is estimated passes most of the residual for coloured noise,
+    and its criterion then asks what the noise is like and not what brings the free run nearer.
+    """
+    stage, data = growth.stage, bench.data[0]
+    if not bench.validation or growth.credit is not None:
+        return []
+    chain = white_chain(stage.e, data.kept, stage.system)
+    simulated = dataclasses.replace(screening, scores=screening.first, chain=chain)
+    closer = look_closer(stage, data, bench.catalogue, bench.names, chain, renewed=False)
+
+    def again(attempt: Attempt) -> Attempt:
+        bench.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
+        return dataclasses.replace(by_free_run(bench, growth, attempt), chain=chain)
+
+    both = compared(bench, stage, _refitted(bench, growth, simulated, closer) + side_by_side(again, ranked))
+    # Of two refits of one law the better.
+    best = [a for k, a in enumerate(both) if a.name not in {better.name for better in both[:k]}]
+    # A mode rings as coloured noise does.
+    lasting = [a for a in best if not is_local(bench, a.score.shape.effect) and not adds_mode(a.score.shape.effect)]
+    # What coloured noise explains as well is no law: each model with the noise that it is estimated to leave.
+    own = dataclasses.replace(bench, white=False)
+    coloured = estimate_chain(stage.e, data.kept, stage.system, stage.force).cost
+
+    def evident(attempt: Attempt) -> bool:
+        return coloured - chain_of(own, attempt.fit).cost - attempt.penalty >= ACCEPTED
+
+    clear = (a for a in lasting if a.delta_bic > CLEAR and unresolved(a.fit, a.score) is None)
+    return [attempt for attempt in clear if evident(attempt)]
+
+
+def _moves(bench: Bench) -> bool:
+    """Whether some held-out data move at every output about as the data of the fit do."""
+
+    def size(data: Data) -> np.ndarray:
+        y = np.where(data.kept, data.y, np.nan)[: data.samples]
+        return np.nanstd(y, axis=0)
+
+    return any(np.all(size(held) >= COMPARABLE * size(bench.data[0])) for held in bench.validation)
 
 
 def _without(
@@ -193,7 +246,7 @@ def _refuted(bench: Bench, growth: Growth, ranked: list[Attempt], searched: tupl
 
 def _given_up(rejected: list[Rejected], ranked: list[Attempt]) -> set[tuple[str, str]]:
     """Laws that were not carried to their end, being far behind another."""
-    behind = {(one.effect, one.location) for one in rejected if one.why.startswith(WEAKER)}
+    behind = {(one.effect, one.location) for one in rejected if one.reason is Reason.DOMINATED}
     return behind - {attempt.name for attempt in ranked}
 
 
@@ -210,7 +263,7 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
         ranked = [a for k, a in enumerate(both) if a.name not in {better.name for better in both[:k]}]
     if ranked:
         tried = {a.name for a in ranked} | {(one.effect, one.location) for one in growth.rejected[before:]}
-        ids = standing_for(ranked[0].name[0]) - {effect for effect, _ in tried}
+        ids = look_alikes(ranked[0].score.shape.effect, bench.catalogue) - {effect for effect, _ in tried}
         others = unheard(ids, screening, closer, tried)
         late = instead_of(bench, stage, ranked[0], others, growth.rejected)
         behind = _given_up(growth.rejected[before:], ranked)
@@ -223,31 +276,41 @@ def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screen
 
 def _unsure(growth: Growth, ranked: list[Attempt], since: int) -> list[Attempt]:
     """Candidates that were refused in this round for the error of their size alone; they are no longer refused."""
-    names = {(one.effect, one.location) for one in growth.rejected[since:] if one.why.endswith(UNSURE)}
-    growth.rejected[since:] = [one for one in growth.rejected[since:] if not one.why.endswith(UNSURE)]
+    names = {(one.effect, one.location) for one in growth.rejected[since:] if one.reason is Reason.UNCERTAIN}
+    growth.rejected[since:] = [one for one in growth.rejected[since:] if one.reason is not Reason.UNCERTAIN]
     return [attempt for attempt in ranked if attempt.name in names]
 
 
 def _accepted(
-    bench: Bench, growth: Growth, ranked: list[Attempt], *, least: float = -np.inf, given_shape: bool = False
+    bench: Bench,
+    growth: Growth,
+    ranked: list[Attempt],
+    move: Move = Move.SCORE_TEST,
+    *,
+    least: float = -np.inf,
+    most: int | None = None,
+    given_shape: bool = False,
 ) -> bool:
-    """Accept the best candidate that holds and gains at least so much [%]; whether one did. `given_shape`: with the
-    errors that sizes have beside a shape that is known."""
+    """Accept the best candidate that holds and surely gains `least` [%], among the first `most`; whether one did.
+
+    `given_shape`: with the errors that sizes have beside a shape that is known.
+    """
     floor, unsure = floor_of(bench, ranked), []
-    for k, attempt in enumerate(ranked):
+    for k, attempt in enumerate(ranked[:most]):
         bench.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
         why, gain, runs = judged(bench, growth, attempt, floor, given_shape)
-        if why is None and gain.percent < least:
-            why = f"coloured noise could do the same, and the gain on held-out data is but {gain.percent:.0f} %"
+        if why is None and gain.ci99_lower < least:
+            words = f"coloured noise could do the same, and no more than {gain.ci99_lower:.0f} % is a sure gain"
+            why = Refusal(Reason.NO_SURE_GAIN, words)
         if why is None:
             rivals, refused = _class_of(attempt, unsure + ranked[k + 1 :])
             # What was refused for its error alone, and explains as much or more, may be it all the same.
             names = {rival.name for rival in rivals}
             growth.rejected = [one for one in growth.rejected if (one.effect, one.location) not in names] + refused
-            _take(bench, growth, Accepted(attempt, rivals, gain, runs))
+            _take(bench, growth, Accepted(attempt, rivals, gain, runs, move))
             return True
-        growth.rejected.append(Rejected(*attempt.name, attempt.delta_bic, why, gain))
-        unsure += [attempt] if why.endswith(UNSURE) else []
+        growth.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
+        unsure += [attempt] if why.reason is Reason.UNCERTAIN else []
     return False
 
 
@@ -269,11 +332,11 @@ def _lent(bench: Bench, growth: Growth, ranked: list[Attempt]) -> bool:
         return False
     floor = floor_of(bench, ranked)
     for k, attempt in enumerate(ranked):
-        if attempt.delta_bic > CLEAR and unsound(bench, growth, attempt) is None:
+        if attempt.delta_bic > CLEAR and unsound(Evidence(bench, growth, attempt, floor)) is None:
             rivals, free = _class_of(attempt, ranked[k + 1 :])[0], by_free_run(bench, growth, attempt)
             why, gain, runs = judged(bench, growth, free, floor)
             if why is None:
-                _take(bench, growth, Accepted(free, rivals, gain, runs))
+                _take(bench, growth, Accepted(free, rivals, gain, runs, Move.WITH_ANOTHER))
             else:
                 lend(bench, growth, attempt, free, rivals, floor)
             return True
@@ -288,17 +351,19 @@ def _class_of(attempt: Attempt, others: list[Attempt]) -> tuple[tuple[Attempt, .
         if behind <= -alike(attempt, other):
             continue
         if behind >= alike(attempt, other):
-            why = f"explained better by {' at '.join(attempt.name)} (by {behind:.0f})"
+            words = f"explained better by {' at '.join(attempt.name)} (by {behind:.0f})"
+            why = Refusal(Reason.EXPLAINED_BETTER, words)
         elif needless(other, attempt):
-            why = f"the same as {attempt.name[0]} with a parameter that explains nothing"
+            words = f"the same as {attempt.name[0]} with a parameter that explains nothing"
+            why = Refusal(Reason.NEEDLESS, words)
         elif (bound := at_bound(other.fit, len(other.fit.candidate.terms) - 1)) is not None:
-            why = f"{bound} ran to its physical bound"
+            why = at_its_bound(bound)
         elif (other_law := unresolved(other.fit, other.score)) is not None:
-            why = other_law
+            why = Refusal(Reason.OTHER_LAW, other_law)
         else:
             rivals.append(other)
             continue
-        refused.append(Rejected(*other.name, other.delta_bic, why))
+        refused.append(Rejected.of(other.name, other.delta_bic, why))
     return tuple(rivals[:3]), refused
 
 

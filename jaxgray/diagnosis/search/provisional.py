@@ -9,15 +9,13 @@ import dataclasses
 
 import numpy as np
 
-from ...numerics.side_by_side import side_by_side
 from ..estimation.context import Bench
 from ..estimation.gauss_newton import refit
-from ..estimation.multistart import Attempt, compared, unresolved
+from ..estimation.multistart import Attempt
 from ..estimation.profile_scan import something_left
-from ..findings import Rejected
+from ..findings import Move
 from ..model.held_out_gain import gain_of
 from ..noise.whitening import white_chain
-from ..screening.shortlist import adds_mode
 from ..settings import CLEAR
 from .state import Accepted, Credit, Growth, held_out_run, is_local, runs_seen, stage_of_candidate
 
@@ -51,26 +49,6 @@ def by_free_run(bench: Bench, growth: Growth, attempt: Attempt) -> Attempt:
     return attempt if fit is None else dataclasses.replace(attempt, fit=fit)
 
 
-def by_free_runs(bench: Bench, growth: Growth, ranked: list[Attempt]) -> list[Attempt]:
-    """Attempts that coloured noise could stand for on the data of the fit, refitted for the free run alone and compared
-    by it, best first, without those that end as another law; none where there is no other data to judge them by."""
-    if not ranked or not bench.validation or growth.credit is not None:
-        return []
-    here = growth.stage
-    chain = white_chain(here.e, bench.data[0].kept, here.system)
-    # A mode rings as coloured noise does.
-    lasting = [a for a in ranked if not is_local(bench, a.name[0]) and not adds_mode(a.score.shape.effect)]
-
-    def free_of(attempt):
-        bench.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
-        return dataclasses.replace(by_free_run(bench, growth, attempt), chain=chain)
-
-    free = compared(bench, here, side_by_side(free_of, lasting))
-    others = {attempt.name: other for attempt in free if (other := unresolved(attempt.fit, attempt.score))}
-    growth.rejected += [Rejected(*a.name, a.delta_bic, others[a.name]) for a in free if a.name in others]
-    return [attempt for attempt in free if attempt.delta_bic > CLEAR and attempt.name not in others]
-
-
 def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: tuple[Attempt, ...], floor) -> None:
     """Go on with a finding that has no sure gain yet; `free` is it refitted for the free run, which its gain is of."""
     before, old = growth.runs, growth.stage.e
@@ -79,12 +57,12 @@ def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: 
         growth.credit = Credit(growth.stage, growth.fit, growth.screening, growth.unexplained, sure)
     else:
         before, old = growth.accepted[-1].runs, growth.accepted[-1].attempt.fit.residual[0]
-    held_out = not is_local(bench, attempt.name[0]) and bool(bench.validation)
+    held_out = not is_local(bench, attempt.score.shape.effect) and bool(bench.validation)
     runs = [held_out_run(bench, free.fit.candidate, d) for d in bench.validation] if held_out else before
     seen = runs_seen(bench, old, free.fit.residual[0], growth.start.e)
     pairs = (before, runs, growth.baseline_runs) if held_out else seen
     gain = gain_of(*pairs, floor, bench.names[1], held_out=held_out, rng=bench.rng, seen=seen)
-    growth.accepted.append(Accepted(free, rivals, gain, runs))
+    growth.accepted.append(Accepted(free, rivals, gain, runs, Move.WITH_ANOTHER))
     growth.fit, growth.stage = attempt.fit, stage_of_candidate(bench, attempt.fit.candidate)
 
 

@@ -5,25 +5,27 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...mechanics.effects.base import AbstractEffect
 from ..estimation.context import Bench
 from ..estimation.gauss_newton import Refit
 from ..estimation.multistart import Attempt
-from ..findings import Gain, Rejected
+from ..findings import Gain, Move, Rejected
 from ..model.candidate import Candidate, Data
 from ..model.free_run import FreeRun, free_run
 from ..screening.linearization import Stage, stage_of
 from ..screening.score_test import Screening
-from ..settings import TIME_LOCAL
 
 
 @dataclass(frozen=True)
 class Accepted:
-    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs."""
+    """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs;
+    `move`: how it came in."""
 
     attempt: Attempt
     rivals: tuple[Attempt, ...]
     gain: Gain
     runs: list[FreeRun]
+    move: Move = Move.SCORE_TEST
 
     @property
     def stage(self) -> str:
@@ -76,9 +78,9 @@ def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
     return dataclasses.replace(stage, J=stage.J[:, :, kept])
 
 
-def is_local(bench: Bench, effect_id: str) -> bool:
+def is_local(bench: Bench, effect: AbstractEffect) -> bool:
     """Whether held-out data do not show an effect."""
-    return effect_id in TIME_LOCAL and not (bench.separate and effect_id != "periodic_disturbance")
+    return effect.own_phase or (effect.tied_to_clock and not bench.separate)
 
 
 def runs_seen(bench: Bench, *residuals: np.ndarray) -> tuple[list[FreeRun], ...]:
@@ -88,6 +90,5 @@ def runs_seen(bench: Bench, *residuals: np.ndarray) -> tuple[list[FreeRun], ...]
 
 def held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
     """Free run on held-out data, without what belongs to the clock of the estimation record."""
-    absent = ("periodic_disturbance",) if bench.separate else TIME_LOCAL
-    terms = tuple(t for t in candidate.terms if t.effect.id not in absent)
+    terms = tuple(term for term in candidate.terms if not is_local(bench, term.effect))
     return free_run(bench.simulator, candidate.with_terms(terms), data)

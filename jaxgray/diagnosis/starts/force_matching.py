@@ -16,7 +16,7 @@ from ..estimation.context import Bench, chain_of
 from ..estimation.continuation import ROUGH, pursued
 from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import Attempt, by_contact, criterion_of, unresolved
-from ..findings import Rejected
+from ..findings import Reason, Refusal, Rejected
 from ..model.candidate import Candidate
 from ..screening.features import Motion, Shape, forces_of
 from ..screening.linearization import Stage
@@ -111,5 +111,5 @@ def _begun_again(
         return None
     end = pursued(bench, fit)
     if (other_law := unresolved(end, score)) is not None:
-        return Rejected(shape.effect.id, shape.place.name, score.delta_bic, other_law)
+        return Rejected.of((shape.effect.id, shape.place.name), score.delta_bic, Refusal(Reason.OTHER_LAW, other_law))
     return by_contact(bench, Attempt(score, end, chain_of(bench, end)), stage)

@@ -7,8 +7,8 @@ from ...numerics.side_by_side import side_by_side
 from ..estimation.context import Bench, chain_of
 from ..estimation.continuation import ROUGH, pursued
 from ..estimation.gauss_newton import Refit, refit
-from ..estimation.multistart import WEAKER, Attempt, by_contact, criterion_of
-from ..findings import Rejected
+from ..estimation.multistart import Attempt, by_contact, criterion_of, dominated
+from ..findings import NOT_SIMULATED, Rejected
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
 from ..screening.shortlist import same_start
@@ -76,10 +76,10 @@ def _heard(bench: Bench, stage: Stage, best: Attempt, scores: list[Score]) -> At
             if np.array_equal(alike, shape.values):
                 break
     if found is None:
-        return Rejected(*name, scores[0].delta_bic, "its refit could not be simulated")
+        return Rejected.of(name, scores[0].delta_bic, NOT_SIMULATED)
     behind = criterion_of(bench, *found) - most + HOPELESS
     if behind > HOPELESS:
-        return Rejected(*name, scores[0].delta_bic, f"{WEAKER} (by {behind:.0f})")
+        return Rejected.of(name, scores[0].delta_bic, dominated(behind))
     bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
     end = pursued(bench, found[1])
     return by_contact(bench, Attempt(found[0], end, chain_of(bench, end)), stage)

@@ -5,25 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...identification.structure_test import ROUNDING
-from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Term, places_of
+from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Scales, Term, places_of
 from ...numerics.progress import AbstractProgress
 from ...records import Record
-from ..findings import Gain, Rejected
+from ..acceptance import AbstractEvidence, bound_of, negligible, unproven, unsound
+from ..findings import Gain, Reason, Refusal, Rejected
 from ..model.candidate import estimated
 from ..model.free_run import FreeRun, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.effective_samples import independent_share
-from ..settings import ACCEPTED, ALIKE, SIGNIFICANT
+from ..settings import ALIKE
 from .regression import Static, StaticFit
-
-EXPLAINED = 0.1
-"""Least share of the remaining mean square error that a finding must explain."""
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A refitted candidate; `delta_bic` against the fit without, under its own share of independent samples."""
+class Trial(AbstractEvidence):
+    """A refitted candidate; `delta_bic` against the fit `without` it, under its own share of independent samples."""
 
+    without: StaticFit
+    scales: Scales
     fit: StaticFit
     delta_bic: float
     share: float
@@ -35,9 +35,18 @@ class Trial:
         term = self.fit.terms[-1]
         return term.effect.id, term.place.name
 
-    @property
-    def significance(self) -> float:
-        """|β|/se of the new term's amplitude; of several, which may share one loop between them, what ΔBIC says."""
+    def bound(self):
+        return bound_of(self.fit.terms[-1], estimated(self.fit.terms[-1]))
+
+    def other_law(self):
+        term = self.fit.terms[-1]
+        return term.effect.unresolved(np.asarray(term.values, float), self.scales)
+
+    def explained(self):
+        return 1 - self.fit.cost / self.without.cost
+
+    def size(self):
+        """Of several amplitudes, which may share one loop between them, what ΔBIC says."""
         term = self.fit.terms[-1]
         amplitudes = [j for j in estimated(term) if term.effect.parameters[j].amplitude]
         if len(amplitudes) != 1:
@@ -93,19 +102,20 @@ def search_static(
         accepted = {trial.name for trial, _, _ in taken}
         trials = []
         for effect in effects:
-            for place in places_of(effect, inputs, names):
+            places = places_of(effect, inputs, names)
+            for place in places:
                 if (effect.id, place.name) not in accepted:
                     progress.stage(f"refitting {effect.id} at {place.name}")
-                    trial = _trial(problem, fit, effect, place)
+                    trial = _trial(problem, fit, effect, place, len(places))
                     trials += [] if trial is None else [trial]
         trials.sort(key=lambda trial: -trial.delta_bic)
         passed = []
         for trial in trials:
-            why = _refused(fit, trial)
+            why = unsound(trial) or negligible(trial, "what is left")
             if why is None:
                 passed.append(trial)
             elif trial.delta_bic > 0:
-                rejected.append(Rejected(*trial.name, trial.delta_bic, why))
+                rejected.append(Rejected.of(trial.name, trial.delta_bic, why))
         strong = bool(passed)
         if turn == max_effects:
             break
@@ -114,11 +124,10 @@ def search_static(
             new = problem.run(trial.fit), later.run(trial.fit)
             before, after, first = (x[1] or x[0] for x in (runs, new, base_runs))
             gain = gain_of(before, after, first, rms_of(first), names, held_out=bool(held), rng=rng)
-            if gain.ci99_lower > 0:
+            if (why := unproven(gain)) is None:
                 found = trial, gain, new
                 break
-            why = f"no sure gain on held-out data ({gain.percent:.1f} %, from {gain.ci99_lower:.1f} %)"
-            rejected.append(Rejected(*trial.name, trial.delta_bic, why))
+            rejected.append(Rejected.of(trial.name, trial.delta_bic, why, gain))
         if found is None:
             break
         trial, gain, runs = found
@@ -128,8 +137,8 @@ def search_static(
             if 0 <= difference < ALIKE and other is not trial:
                 rivals.append(other)
             elif difference >= ALIKE:
-                why = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
-                rejected.append(Rejected(*other.name, other.delta_bic, why))
+                words = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
+                rejected.append(Rejected.of(other.name, other.delta_bic, Refusal(Reason.EXPLAINED_BETTER, words)))
         taken.append((trial, tuple(rivals[:3]), gain))
         fit = trial.fit
     return StaticSearch(base, fit, base_runs, runs, tuple(taken), tuple(rejected), strong)
@@ -141,10 +150,10 @@ def _is_rounding(runs: list[FreeRun], records: list[Record]) -> bool:
     return bool(np.all(rms_of(runs) <= ROUNDING * size))
 
 
-def _trial(problem: Static, before: StaticFit, effect: AbstractEffect, place) -> Trial | None:
-    """A candidate refitted from all its shapes; None where none is finite."""
-    best = None
-    shapes = effect.shapes(problem.scales(place))
+def _trial(problem: Static, before: StaticFit, effect: AbstractEffect, place, places: int) -> Trial | None:
+    """A candidate refitted from all its shapes, one of so many places; None where none is finite."""
+    best, scales = None, problem.scales(place)
+    shapes = effect.shapes(scales)
     for values in shapes:
         start = np.array(values, float)
         start[[p.amplitude for p in effect.parameters]] *= 0.1
@@ -155,14 +164,5 @@ def _trial(problem: Static, before: StaticFit, effect: AbstractEffect, place) ->
         return None
     runs = problem.run(best)
     share = independent_share(max((run.e[run.kept.all(axis=1)] for run in runs), key=len))
-    delta = before.criterion(share) - best.criterion(share) - 2 * np.log(len(shapes))
-    return Trial(best, float(delta), share, runs)
-
-
-def _refused(before: StaticFit, trial: Trial) -> str | None:
-    if trial.delta_bic < ACCEPTED:
-        return f"the refit explains too little (ΔBIC {trial.delta_bic:.0f})"
-    if trial.significance < SIGNIFICANT:
-        return f"only {trial.significance:.1f} standard errors from nothing"
-    share = 1 - trial.fit.cost / before.cost
-    return None if share >= EXPLAINED else f"explains only {100 * share:.0f} % of what is left"
+    delta = before.criterion(share) - best.criterion(share) - 2 * np.log(len(shapes) * places)
+    return Trial(before, scales, best, float(delta), share, runs)

@@ -119,6 +119,7 @@ class InputDelay(AbstractInputEffect):
     signature = "residual in quadrature with the input, growing with frequency"
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
     places = "input"
+    resembles = "timing"
 
     def shapes(self, scales):
         return [np.array([count * scales.sampling_time]) for count in SAMPLES]
@@ -147,6 +148,7 @@ class ActuatorLag(AbstractInputEffect):
     signature = "delay with a gain that drops over frequency"
     reference = "Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., Addison-Wesley 1998"
     places = "input"
+    resembles = "timing"
 
     def shapes(self, scales):
         return [np.array([count * scales.sampling_time]) for count in SAMPLES]
@@ -175,6 +177,7 @@ class IntersampleHold(AbstractInputEffect):
     signature = "half a sample of delay or advance"
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
     places = "input"
+    resembles = "timing"
 
     def shapes(self, scales):
         return [np.array([1.0])]

@@ -95,8 +95,12 @@ class AbstractEffect(eqx.Module):
     `reference`; `places`: where it can act: "coordinate" (one to ground), "spring" (one to ground, or between two),
     "pair" (between two only), "input", "output", "record" (all outputs), "cross" (source->polluted); `contains`: ids
     of simpler laws that it turns into where its further parameters vanish; `becomes`: ids of those that it is where it
-    is `unresolved`; `repeats`: whether the force comes again and again over displacement; `stage`: whether a finding
-    says what is missing of the "model" or wrong with the "record".
+    is `unresolved`; `renamed`: ids of simpler laws that it contains under other names of the parameters; `resembles`:
+    a word that laws share which a record hardly tells apart, "" for none; `repeats`: whether the force comes again and
+    again over displacement; `tied_to_clock`: whether it belongs to the clock of one record, so that another record, or
+    another part, may not show it; `own_phase`: whether every record has it with another phase; `onset`: parameters that
+    are the time and the width of a sudden change, none for others; `scheduled`: whether it needs a scheduling channel;
+    `stage`: whether a finding says what is missing of the "model" or wrong with the "record".
     """
 
     id: ClassVar[str]
@@ -109,7 +113,13 @@ class AbstractEffect(eqx.Module):
     places: ClassVar[str]
     contains: ClassVar[tuple[str, ...]] = ()
     becomes: ClassVar[tuple[str, ...]] = ()
+    renamed: ClassVar[tuple[str, ...]] = ()
+    resembles: ClassVar[str] = ""
     repeats: ClassVar[bool] = False
+    tied_to_clock: ClassVar[bool] = False
+    own_phase: ClassVar[bool] = False
+    onset: ClassVar[tuple[str, str] | tuple[()]] = ()
+    scheduled: ClassVar[bool] = False
     stage: ClassVar[str] = "model"
 
     __getattribute__ = object.__getattribute__
@@ -176,6 +186,12 @@ def limits(law: type[AbstractEffect]) -> tuple[np.ndarray, np.ndarray, np.ndarra
         np.array([parameter.upper for parameter in law.parameters], dtype=float),
         np.array(sizes, dtype=int),
     )
+
+
+def onset_of(effect: AbstractEffect) -> tuple[int, int]:
+    """Positions of the time and of the width of a sudden change among the parameters of a law that has an `onset`."""
+    names = [parameter.name for parameter in effect.parameters]
+    return names.index(effect.onset[0]), names.index(effect.onset[1])
 
 
 class AbstractForceEffect(AbstractEffect):
@@ -284,7 +300,7 @@ class Term(eqx.Module):
 
 
 def places_of(effect: AbstractEffect, input_names, output_names) -> tuple[Place, ...]:
-    """Every place where an effect can act in a system with these channels, by DESIGN's names."""
+    """Every place where an effect can act in a system with these channels, as files and messages name them."""
     return _places(effect.places, tuple(input_names), tuple(output_names))
 
 

@@ -21,6 +21,8 @@ class PeriodicDisturbance(AbstractForceEffect):
     signature = "one line in the spectrum of the residual, incoherent with the input"
     reference = "Bodson & Douglas, Automatica 33 (1997) 2213-2221"
     places = "coordinate"
+    tied_to_clock = True
+    own_phase = True
 
     def shapes(self, scales):
         return [np.array([1.0, frequency, 0.0]) for frequency in scales.lines_hz]
@@ -54,6 +56,8 @@ class ForceStep(AbstractForceEffect):
     signature = "ring-down, then a shifted mean"
     reference = "Basseville & Nikiforov, Detection of Abrupt Changes, Prentice Hall 1993"
     places = "coordinate"
+    tied_to_clock = True
+    onset = "t0", "width"
 
     def shapes(self, scales):
         return [np.array([1.0, t0, scales.sampling_time]) for t0 in scales.times]

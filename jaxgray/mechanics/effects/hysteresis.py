@@ -36,6 +36,7 @@ class DahlFriction(AbstractForceEffect):
     signature = "loops at reversals of the motion"
     reference = "Dahl, A Solid Friction Model, Aerospace Corporation TOR-0158(3107-18)-1, 1968"
     places = "spring"
+    resembles = "hysteresis"
     states = 1
 
     def shapes(self, scales):
@@ -94,6 +95,8 @@ class BoucWenHysteresis(AbstractForceEffect):
     signature = "rate-independent loop with memory; loop and energy are determined better than beta and gamma"
     reference = "Wen, ASCE J. Eng. Mech. Div. 102 (1976) 249-263"
     places = "spring"
+    resembles = "hysteresis"
+    renamed = ("dahl_friction",)
     states = 1
 
     def shapes(self, scales):
@@ -148,6 +151,7 @@ class MaxwellSlipHysteresis(AbstractForceEffect):
     signature = "loop made of straight pieces, with memory of reversals"
     reference = "Iwan, J. Appl. Mech. 33 (1966) 893-900"
     places = "spring"
+    resembles = "hysteresis"
     states = 2
 
     def shapes(self, scales):

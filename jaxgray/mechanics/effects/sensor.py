@@ -43,6 +43,7 @@ class SensorOffset(AbstractOutputEffect):
     signature = "mean of the residual, not filtered by the plant"
     reference = "Doebelin, Measurement Systems, 5th ed., McGraw-Hill 2003"
     places = "output"
+    resembles = "offset"
 
     def shapes(self, scales):
         return [np.array([1.0])]
@@ -61,6 +62,7 @@ class SensorDrift(AbstractOutputEffect):
     signature = "low frequencies, not filtered by the plant"
     reference = "Doebelin, Measurement Systems, 5th ed., McGraw-Hill 2003"
     places = "output"
+    tied_to_clock = True
 
     def shapes(self, scales):
         return [np.array([1.0, 1.0])]
@@ -81,6 +83,7 @@ class SensorDelay(AbstractOutputEffect):
     signature = "skew between channels"
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
     places = "output"
+    resembles = "timing"
 
     def shapes(self, scales):
         return [np.array([count * scales.sampling_time]) for count in SAMPLES]
@@ -100,6 +103,7 @@ class SensorLag(AbstractOutputEffect):
     signature = "delay with a gain that drops over frequency, of one output only"
     reference = "Doebelin, Measurement Systems, 5th ed., McGraw-Hill 2003"
     places = "output"
+    resembles = "timing"
 
     def shapes(self, scales):
         return [np.array([count * scales.sampling_time]) for count in SAMPLES]
@@ -163,6 +167,7 @@ class ClockScale(AbstractOutputEffect):
     signature = "residual like the velocity, growing over the record"
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
     places = "record"
+    tied_to_clock = True
     stage = "record"
 
     def shapes(self, scales):
@@ -187,6 +192,8 @@ class DroppedSamples(AbstractOutputEffect):
     signature = "residual like the velocity from a moment on"
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
     places = "record"
+    tied_to_clock = True
+    onset = "t0", "width"
     stage = "record"
 
     def shapes(self, scales):

@@ -28,6 +28,7 @@ class CubicStiffness(AbstractForceEffect):
     signature = "third harmonic in phase with the displacement, resonance moves with amplitude"
     reference = "Kerschen, Worden, Vakakis & Golinval, Mech. Syst. Signal Process. 20 (2006) 505-592, §2"
     places = "spring"
+    resembles = "hardening"
 
     def shapes(self, scales):
         return [np.array([1.0])]
@@ -47,6 +48,7 @@ class QuadraticStiffness(AbstractForceEffect):
     signature = "even harmonics and a mean that grows with the square of the amplitude"
     reference = "Nayfeh & Mook, Nonlinear Oscillations, Wiley 1979, §2.3.1"
     places = "spring"
+    resembles = "asymmetry"
 
     def shapes(self, scales):
         return [np.array([1.0])]
@@ -69,6 +71,7 @@ class DeadZoneStiffness(AbstractForceEffect):
     signature = "apparent stiffness rises with amplitude, missing force within a gap around zero"
     reference = "Nordin & Gutman, Automatica 38 (2002) 1633-1649"
     places = "spring"
+    resembles = "hardening"
 
     def shapes(self, scales):
         return [np.array([1.0, part * scales.q_quantiles[0]]) for part in (0.1, 0.3, 0.6, 1.0)]
@@ -98,6 +101,7 @@ class EndStop(AbstractForceEffect):
     signature = "bursts of missing force at the extremes of the displacement, quiet in between"
     reference = "Shaw & Holmes, J. Sound Vib. 90 (1983) 129-155"
     places = "spring"
+    resembles = "hardening"
 
     def shapes(self, scales):
         return [np.array([1.0, scales.q_quantiles[k]]) for k in (1, 3, 4, 5)]
@@ -116,6 +120,7 @@ class BilinearStiffness(AbstractForceEffect):
     signature = "even harmonics in proportion to the amplitude"
     reference = "Friswell & Penny, Struct. Health Monit. 1 (2002) 139-148"
     places = "spring"
+    resembles = "asymmetry"
 
     def shapes(self, scales):
         return [np.array([1.0])]
@@ -140,6 +145,7 @@ class SineStiffness(AbstractForceEffect):
     signature = "softening with a bounded force"
     reference = "Nayfeh & Mook, Nonlinear Oscillations, Wiley 1979, §2.1.1"
     places = "spring"
+    resembles = "hardening"
 
     def shapes(self, scales):
         return [np.array([1.0, scales.q_peak / angle]) for angle in (0.5, 1.0, 2.0, 4.0)]
@@ -164,6 +170,7 @@ class ConstantForce(AbstractForceEffect):
     signature = "mean of the residual, filtered by the plant"
     reference = "Gautier, Janot & Vandanjon, IEEE Trans. Control Syst. Technol. 21 (2013) 428-444"
     places = "coordinate"
+    resembles = "offset"
 
     def shapes(self, scales):
         return [np.array([1.0])]
@@ -183,6 +190,7 @@ class PositionDependentStiffness(AbstractForceEffect):
     signature = "stiffness modulated by the scheduling channel"
     reference = "Tóth, Modeling and Identification of Linear Parameter-Varying Systems, Springer 2010"
     places = "spring"
+    scheduled = True
 
     def shapes(self, scales):
         return [np.array([1.0])]

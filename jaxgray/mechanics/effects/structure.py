@@ -68,6 +68,7 @@ class StiffnessDrift(AbstractForceEffect):
     signature = "residual grows from the middle of the record to both ends"
     reference = "Poulimenos & Fassois, Mech. Syst. Signal Process. 20 (2006) 763-816"
     places = "spring"
+    tied_to_clock = True
 
     def shapes(self, scales):
         return [np.array([1.0, scales.duration])]
@@ -91,6 +92,9 @@ class StiffnessStep(AbstractForceEffect):
     signature = "fits before and after a moment differ"
     reference = "Basseville & Nikiforov, Detection of Abrupt Changes, Prentice Hall 1993"
     places = "spring"
+    resembles = "change of a parameter"
+    tied_to_clock = True
+    onset = "t0", "width"
 
     def shapes(self, scales):
         return [np.array([1.0, t0, scales.sampling_time]) for t0 in scales.times]
@@ -120,6 +124,9 @@ class MassStep(AbstractForceEffect):
     signature = "fits before and after a moment differ, most at high frequency"
     reference = "Basseville & Nikiforov, Detection of Abrupt Changes, Prentice Hall 1993"
     places = "coordinate"
+    resembles = "change of a parameter"
+    tied_to_clock = True
+    onset = "t0", "width"
 
     def shapes(self, scales):
         typical = 0.02 / max(scales.compliance, 1e-100)
