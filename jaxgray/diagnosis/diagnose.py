@@ -47,7 +47,8 @@ from .noise.floor import independent_floor, residual_rms
 from .result import Diagnosis
 from .routing import asked_of_forces, begin, by_force_equation, may_come_into_step
 from .screening.flexible_force import FlexibleForce
-from .search.forward import grow, recount
+from .search.forward import recount
+from .search.long_records import search
 from .search.modal_restart import from_other_modes
 from .search.state import Growth
 from .starts.user_model import identified
@@ -187,7 +188,7 @@ def _of_clean_records(
     if model is not None:
         bench = dataclasses.replace(bench, identified=identified(bench.simulator, records, bench.data, options))
     errors = () if model is None else MODEL_ERRORS
-    growth = grow(bench, baseline.start, max_effects, errors=errors, max_errors=len(baseline.start.entries))
+    growth, part = search(bench, baseline, max_effects, errors=errors)
     if identification is not None:
         from_other_modes(bench, growth, identification, records)
     progress.stage("summing up")
@@ -195,6 +196,8 @@ def _of_clean_records(
     noise = () if growth.unexplained else noise_findings(records[0], growth.stage.e, growth.screening.chain)
     found = _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
     found = by_force_equation(found, bench.forces)
+    if part is not None:
+        anew += (f"{part}; every number is of the refit on the whole record.",)
     warnings = anew + beyond_the_fit(records, held) + found.warnings
     return dataclasses.replace(found, findings=outliers + found.findings, warnings=warnings)
 

@@ -63,13 +63,13 @@ def grow(
     growth.baseline_runs = [held_out_run(bench, start, d) for d in bench.validation]
     growth.runs = growth.baseline_runs
     if errors:
-        _extend(dataclasses.replace(bench, catalogue=errors), growth, max_errors, errors)
-    _extend(bench, growth, max_effects, (*bench.catalogue, FlexibleForce()))
+        extend(dataclasses.replace(bench, catalogue=errors), growth, max_errors, errors)
+    extend(bench, growth, max_effects, (*bench.catalogue, FlexibleForce()))
     rejudge(bench, growth)
     return growth
 
 
-def _extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEffect, ...]) -> None:
+def extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEffect, ...]) -> None:
     """Rounds of looking and accepting, until nothing more is found or `most` effects were; what was only lent goes."""
     _rounds(bench, growth, most, searched)
     withdraw(growth)

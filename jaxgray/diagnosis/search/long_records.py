@@ -1,0 +1,144 @@
+"""Long records: the search works on a part of them, every reported number is refitted on all of it.
+
+Evidence grows with the samples, and so does the time of every trial; what a part shows clearly, the rest shows again. A
+part that shows nothing is replaced by one four times as long, up to the whole record. What belongs to the clock of a
+record, such as a step of stiffness, is looked for in the whole.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from ...mechanics.effects.base import AbstractEffect
+from ...mechanics.simulate import initial_state
+from ..estimation.context import Bench, chain_of
+from ..estimation.continuation import ROUGH, settled
+from ..estimation.gauss_newton import Refit, refit
+from ..model.baseline import Baseline
+from ..model.candidate import Candidate, Data
+from ..noise.whitening import white_chain
+from .forward import extend, grow
+from .state import Growth, held_out_run, stage_of_candidate
+
+PART = 8192
+"""Samples of each record that the search begins with."""
+
+LONG = 2.0
+"""Length of a record, relative to the part, from which the search works on a part."""
+
+LONGER = 4
+"""By how much longer the next part is where one shows nothing."""
+
+STEPS = 10
+"""Of each refit on the whole record."""
+
+
+def search(
+    bench: Bench, baseline: Baseline, max_effects: int, *, errors: tuple[AbstractEffect, ...] = ()
+) -> tuple[Growth, str | None]:
+    """Extend the baseline until nothing more is found, on parts of long records first.
+
+    **Arguments:** `bench`; `baseline`; `max_effects`; `errors`: as for `grow`, where numbers of a given model may be
+    wrong: the whole record is then searched.
+
+    **Returns:** how far the search got, on the whole records; what it worked on, where that was a part.
+    """
+    start, size = baseline.start, PART
+    while not errors and bench.data[0].samples > LONG * size:
+        part, begun, where = _part(bench, baseline, size)
+        growth = grow(part, begun, max_effects)
+        if growth.accepted:
+            whole = _carried_over(bench, start, growth)
+            if whole is not None:
+                _tied_to_clock(bench, whole, max_effects)
+                return whole, where
+        if growth.unexplained:
+            break
+        size *= LONGER
+    return grow(bench, start, max_effects, errors=errors, max_errors=len(start.entries)), None
+
+
+def _part(bench: Bench, baseline: Baseline, size: int) -> tuple[Bench, Candidate, str]:
+    """The bench with the liveliest part of every record, the baseline with its first states there, and which part."""
+    lasting = tuple(effect for effect in bench.catalogue if not effect.tied_to_clock)
+    begins = [_liveliest(d, size) for d in bench.data]
+    data = [_cut(d, begin, size) for d, begin in zip(bench.data, begins)]
+    held = [_cut(d, _liveliest(d, size), size) for d in bench.validation]
+    model = baseline.model
+    states = []
+    for d in data:
+        y = np.where(d.kept, d.y, np.nan)
+        states.append(initial_state(model, d.u, y, d.sampling_time, hold=d.hold)[0])
+    begin, end = begins[0], min(begins[0] + size, bench.data[0].samples)
+    where = f"The search worked on samples {begin + 1} to {end} of {bench.data[0].samples}"
+    part = dataclasses.replace(bench, data=data, validation=held, catalogue=lasting)
+    return part, Candidate(baseline.start.entries, tuple(states)), where
+
+
+def _liveliest(data: Data, size: int) -> int:
+    """Where the part of a record begins whose outputs, each in units of its own size, move most."""
+    if data.samples <= size:
+        return 0
+    y = np.where(data.kept, data.y, 0.0)[: data.samples]
+    y = y - y.mean(axis=0)
+    power = np.sum(y**2 / np.maximum(np.mean(y**2, axis=0), 1e-300), axis=1)
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    begins = np.arange(0, data.samples - size + 1, max(size // 4, 1))
+    return int(begins[np.argmax(total[begins + size] - total[begins])])
+
+
+def _cut(data: Data, begin: int, size: int) -> Data:
+    """A part of a record."""
+    if data.samples <= size:
+        return data
+    rows = slice(begin, begin + size)
+    arrays = {name: getattr(data, name)[rows] for name in ("u", "y", "kept", "scheduling")}
+    return dataclasses.replace(data, **arrays, samples=size)
+
+
+def _carried_over(bench: Bench, start: Candidate, part: Growth) -> Growth | None:
+    """What was found on a part, refitted on the whole records one finding after the other; None where one of the refits
+    cannot be simulated."""
+    first = stage_of_candidate(bench, start)
+    whole = Growth(first, first)
+    whole.baseline_runs = whole.runs = [held_out_run(bench, start, d) for d in bench.validation]
+    whole.rejected, whole.tried, whole.unexplained = part.rejected, part.tried, part.unexplained
+    whole.screening, whole.first, whole.ruled_out = part.screening, part.first, part.ruled_out
+    for k, accepted in enumerate(part.accepted):
+        bench.progress.stage(f"refitting {accepted.attempt.name[0]} on the whole record")
+        last = k == len(part.accepted) - 1
+        found = part.fit if last else accepted.attempt.fit
+        terms = found.candidate.terms[: k + 1]
+        fit = _refitted(bench, Candidate(found.candidate.entries, start.x0, terms), first)
+        if fit is None:
+            return None
+        runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
+        attempt = dataclasses.replace(accepted.attempt, fit=fit)
+        whole.accepted.append(dataclasses.replace(accepted, attempt=attempt, runs=runs))
+        whole.fit, whole.runs = fit, runs
+    whole.stage = stage_of_candidate(bench, whole.fit.candidate)
+    return whole
+
+
+def _refitted(bench: Bench, candidate: Candidate, first) -> Refit | None:
+    """Under white noise first, which brings the first states into place, then under that of what is left."""
+    white = white_chain(first.e, bench.data[0].kept, first.system)
+    options = {"held": bench.held, "max_steps": STEPS, "tolerance": ROUGH}
+    fit = refit(bench.simulator, candidate, bench.data, white, **options)
+    if fit is None:
+        return None
+    chain = chain_of(bench, fit)
+    again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=STEPS)
+    return fit if again is None else settled(bench, again, chain)
+
+
+def _tied_to_clock(bench: Bench, growth: Growth, max_effects: int) -> None:
+    """Look in the whole records for what belongs to the clock of one, which no part of it shows."""
+    catalogue = tuple(effect for effect in bench.catalogue if effect.tied_to_clock)
+    most, known = max_effects - len(growth.accepted), len(growth.accepted)
+    if not catalogue or most <= 0:
+        return
+    unexplained, screening = growth.unexplained, growth.screening
+    extend(dataclasses.replace(bench, catalogue=catalogue), growth, most, catalogue)
+    if len(growth.accepted) == known:
+        growth.unexplained, growth.screening = unexplained, screening
