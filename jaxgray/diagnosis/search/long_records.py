@@ -17,7 +17,8 @@ from ..estimation.gauss_newton import Refit, refit
 from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
 from ..noise.whitening import white_chain
-from .forward import extend, grow
+from ..screening.linearization import look
+from .forward import SLIGHT, extend, grow
 from .state import Growth, held_out_run, stage_of_candidate
 
 PART = 8192
@@ -134,11 +135,18 @@ def _refitted(bench: Bench, candidate: Candidate, first) -> Refit | None:
 
 def _tied_to_clock(bench: Bench, growth: Growth, max_effects: int) -> None:
     """Look in the whole records for what belongs to the clock of one, which no part of it shows."""
-    catalogue = tuple(effect for effect in bench.catalogue if effect.tied_to_clock)
+    tied = tuple(effect for effect in bench.catalogue if effect.tied_to_clock)
     most, known = max_effects - len(growth.accepted), len(growth.accepted)
-    if not catalogue or most <= 0:
+    if not tied or most <= 0:
+        return
+    bench.progress.stage("looking for what belongs to the clock of the record")
+    seen = look(growth.stage, bench.data[0], tied, bench.names, surrogates=0)
+    best = seen.best_by_effect()
+    # In so many samples the least misfit is significant: it must also be of some size.
+    sized = tuple(e for e in tied if e.id in best and 1 - np.exp(-best[e.id].ratio / seen.rows) >= SLIGHT)
+    if not sized:
         return
     unexplained, screening = growth.unexplained, growth.screening
-    extend(dataclasses.replace(bench, catalogue=catalogue), growth, most, catalogue)
+    extend(dataclasses.replace(bench, catalogue=sized), growth, most, sized)
     if len(growth.accepted) == known:
         growth.unexplained, growth.screening = unexplained, screening
