@@ -11,7 +11,13 @@ import numpy as np
 
 from ..mechanics.effects.base import Term
 from .findings import Gain, Reason, Refusal
-from .settings import ACCEPTED, CLEAR, EXPLAINED, MOVED_ALONG, SIGNIFICANT
+from .settings import (
+    CLEAR_DELTA_BIC,
+    MIN_DELTA_BIC,
+    MIN_EXPLAINED_SHARE,
+    MIN_STANDARD_ERRORS,
+    MIN_STANDARD_ERRORS_IF_CLEAR,
+)
 
 
 class AbstractEvidence(abc.ABC):
@@ -42,7 +48,7 @@ class AbstractEvidence(abc.ABC):
 
 def unsound(evidence: AbstractEvidence) -> Refusal | None:
     """What speaks against a candidate whatever it gains, None for nothing."""
-    if evidence.delta_bic < ACCEPTED:
+    if evidence.delta_bic < MIN_DELTA_BIC:
         return Refusal(Reason.NO_EVIDENCE, f"the refit explains too little (ΔBIC {evidence.delta_bic:.0f})")
     if evidence.follows_inputs():
         return Refusal(Reason.FEEDBACK, "the inputs follow what it leaves: a closed loop looks the same")
@@ -51,7 +57,7 @@ def unsound(evidence: AbstractEvidence) -> Refusal | None:
     if (law := evidence.other_law()) is not None:
         return Refusal(Reason.OTHER_LAW, law)
     # An amplitude that a shape moves along with has a wide error, though nothing explains the record without it.
-    least = SIGNIFICANT if evidence.delta_bic < CLEAR else MOVED_ALONG
+    least = MIN_STANDARD_ERRORS if evidence.delta_bic < CLEAR_DELTA_BIC else MIN_STANDARD_ERRORS_IF_CLEAR
     if (size := evidence.size()) < least:
         return Refusal(Reason.UNCERTAIN, f"only {size:.1f} standard errors from nothing")
     return None
@@ -60,7 +66,11 @@ def unsound(evidence: AbstractEvidence) -> Refusal | None:
 def negligible(evidence: AbstractEvidence, of: str) -> Refusal | None:
     """Whether it explains too little `of` what is left to be of interest."""
     share = evidence.explained()
-    return None if share >= EXPLAINED else Refusal(Reason.NEGLIGIBLE, f"explains only {100 * share:.0f} % of {of}")
+    return (
+        None
+        if share >= MIN_EXPLAINED_SHARE
+        else Refusal(Reason.NEGLIGIBLE, f"explains only {100 * share:.0f} % of {of}")
+    )
 
 
 def unproven(gain: Gain, on: str = "held-out data") -> Refusal | None:

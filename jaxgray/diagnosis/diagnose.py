@@ -35,7 +35,7 @@ from .data_checks.output_offsets import from_own_zeros
 from .data_checks.record_findings import noise_findings, record_findings, still_spoilt
 from .data_checks.residual_outliers import merged, without_late_outliers
 from .data_checks.sample_size import check_enough
-from .estimation.context import Bench
+from .estimation.context import SearchContext
 from .findings import Finding
 from .model.baseline import ADOPTED, baseline_of
 from .model.candidate import Data
@@ -50,7 +50,7 @@ from .screening.flexible_force import FlexibleForce
 from .search.forward import recount
 from .search.long_records import search
 from .search.modal_restart import from_other_modes
-from .search.state import Growth
+from .search.state import SearchState
 from .starts.user_model import identified
 
 FORCES = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
@@ -171,7 +171,7 @@ def _of_clean_records(
     floor, source = independent_floor(records[0])
     data = [Data.of(r) for r in records]
     longest = max(len(d.u) for d in data)
-    bench = Bench(
+    context = SearchContext(
         Simulator(baseline.setup, FORCES),
         data,
         [Data.of(r, longest) for r in held],
@@ -186,16 +186,16 @@ def _of_clean_records(
         out_of_step=identification is not None and may_come_into_step(identification),
     )
     if model is not None:
-        bench = dataclasses.replace(bench, identified=identified(bench.simulator, records, bench.data, options))
+        context = dataclasses.replace(context, identified=identified(context.simulator, records, context.data, options))
     errors = () if model is None else MODEL_ERRORS
-    growth, part = search(bench, baseline, max_effects, errors=errors)
+    state, part = search(context, baseline, max_effects, errors=errors)
     if identification is not None:
-        from_other_modes(bench, growth, identification, records)
+        from_other_modes(context, state, identification, records)
     progress.stage("summing up")
     # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
-    noise = () if growth.unexplained else noise_findings(records[0], growth.stage.e, growth.screening.chain)
-    found = _assembled(bench, growth, baseline, identification, records, held, floor, source, noise)
-    found = by_force_equation(found, bench.forces)
+    noise = () if state.unexplained else noise_findings(records[0], state.stage.e, state.screening.noise_model)
+    found = _assembled(context, state, baseline, identification, records, held, floor, source, noise)
+    found = by_force_equation(found, context.forces)
     if part is not None:
         anew += (f"{part}; every number is of the refit on the whole record.",)
     warnings = anew + beyond_the_fit(records, held) + found.warnings
@@ -225,57 +225,65 @@ def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
 
 
 def _assembled(
-    bench: Bench, growth: Growth, baseline, identification: Identification | None, records, held, floor, source, noise
+    context: SearchContext,
+    state: SearchState,
+    baseline,
+    identification: Identification | None,
+    records,
+    held,
+    floor,
+    source,
+    noise,
 ):
-    setup, data = bench.simulator.setup, bench.data[0]
+    setup, data = context.simulator.setup, context.data[0]
     if floor is None:
-        floor = residual_rms(growth.stage.e, data)
-    recount(bench, growth, floor)
+        floor = residual_rms(state.stage.e, data)
+    recount(context, state, floor)
     names = records[0].output_names
-    start_run = FreeRun(growth.start.motion.y, growth.start.e, data.kept)
-    last_run = FreeRun(growth.stage.motion.y, growth.stage.e, data.kept)
+    start_run = FreeRun(state.start.motion.y, state.start.e, data.kept)
+    last_run = FreeRun(state.stage.motion.y, state.stage.e, data.kept)
     errors = None if identification is None else identification.standard_errors
-    base = summary_of(baseline.model, errors, start_run, growth.baseline_runs, records, held)
-    base_excess = overall(residual_rms(growth.start.e, data), floor)
-    excess = overall(residual_rms(growth.stage.e, data), floor)
-    findings = list(findings_of(bench, growth, records[0]))
+    base = summary_of(baseline.model, errors, start_run, state.baseline_runs, records, held)
+    base_excess = overall(residual_rms(state.start.e, data), floor)
+    excess = overall(residual_rms(state.stage.e, data), floor)
+    findings = list(findings_of(context, state, records[0]))
     extended = gain = None
     shifts = ()
-    if growth.accepted:
-        mended = model_of(growth.fit.candidate, baseline.model, setup)
-        spread = matrix_errors(growth.fit, setup)
-        extended = summary_of(mended, spread, last_run, growth.runs, records, held)
+    if state.accepted:
+        mended = model_of(state.fit.candidate, baseline.model, setup)
+        spread = matrix_errors(state.fit, setup)
+        extended = summary_of(mended, spread, last_run, state.runs, records, held)
         shifts = shifts_of(baseline.model, mended, spread)
-        if growth.runs:
+        if state.runs:
             # What is tied to the clock of the fit does not show on held-out data.
-            held_out = any(accepted.gain.held_out for accepted in growth.accepted)
+            held_out = any(accepted.gain.held_out for accepted in state.accepted)
             seen = [start_run], [last_run], [start_run]
-            runs = (growth.baseline_runs, growth.runs, growth.baseline_runs) if held_out else seen
-            gain = gain_of(*runs, floor, names, held_out=held_out, rng=bench.rng, seen=seen)
-            if len(growth.accepted) == 1:
+            runs = (state.baseline_runs, state.runs, state.baseline_runs) if held_out else seen
+            gain = gain_of(*runs, floor, names, held_out=held_out, rng=context.rng, seen=seen)
+            if len(state.accepted) == 1:
                 # The same, from the same draws: one finding must not have two intervals.
-                gain = growth.accepted[0].gain
-    mends_model = any(accepted.stage == "model" for accepted in growth.accepted)
-    unexplained = growth.unexplained or (source != ADOPTED and excess >= UNEXPLAINED)
+                gain = state.accepted[0].gain
+    mends_model = any(accepted.stage == "model" for accepted in state.accepted)
+    unexplained = state.unexplained or (source != ADOPTED and excess >= UNEXPLAINED)
     test = None if identification is None else identification.structure_test
-    if not growth.accepted and test is not None and _misfits(test, growth):
+    if not state.accepted and test is not None and _misfits(test, state):
         unexplained = True
-    sound = [run for run, record in zip(growth.baseline_runs, held) if not still_spoilt(record)]
-    if not growth.accepted and growth.screening.chain.ratio == 0.0 and sound:
+    sound = [run for run, record in zip(state.baseline_runs, held) if not still_spoilt(record)]
+    if not state.accepted and state.screening.noise_model.ratio == 0.0 and sound:
         # What the data of the fit pass off as slow noise, another record shows.
         unexplained |= min(overall(run.rmse, floor) for run in sound) >= ELSEWHERE
-    depends = _depends_on(growth) if unexplained else ()
+    depends = _depends_on(state) if unexplained else ()
     if unexplained and not mends_model:
-        worst = int(np.argmax(residual_rms(growth.stage.e, data) / floor))
+        worst = int(np.argmax(residual_rms(state.stage.e, data) / floor))
         findings.append(Finding("unexplained", names[worst], "unexplained", "model", (), {}, None, None))
     model_findings = [f.status for f in findings if f.stage == "model"]
     if unexplained:
         verdict = "partly" if mends_model else "unexplained"
     else:
         verdict = "equivalent" if "equivalent" in model_findings else "named" if model_findings else "noise"
-    warnings = open_scale(growth, setup, names) + picked_up(growth, names)
-    warnings += () if identification is None else _own_warnings(identification, growth)
-    taken = accepted_names(growth.accepted)
+    warnings = open_scale(state, setup, names) + picked_up(state, names)
+    warnings += () if identification is None else _own_warnings(identification, state)
+    taken = accepted_names(state.accepted)
     return Diagnosis(
         verdict=verdict,
         baseline=base,
@@ -286,46 +294,46 @@ def _assembled(
         gain=gain,
         excess=excess,
         baseline_excess=base_excess,
-        white=not growth.unexplained and growth.screening.chain.ratio == 0.0,
-        explainable=explainable_share(bench, growth, floor) if unexplained else None,
+        white=not state.unexplained and state.screening.noise_model.ratio == 0.0,
+        explainable=explainable_share(context, state, floor) if unexplained else None,
         depends_on=depends,
-        rejected=rejected_of(bench, growth, records[0]),
-        not_found=not_found_of(growth.screening, bench, records[0], taken),
+        rejected=rejected_of(context, state, records[0]),
+        not_found=not_found_of(state.screening, context, records[0], taken),
         shifts=shifts,
-        budget=budget_of(growth, bench, floor, all_noise=source != ADOPTED or not unexplained),
-        next_experiment=_experiment(bench, growth, records[0], floor),
+        budget=budget_of(state, context, floor, all_noise=source != ADOPTED or not unexplained),
+        next_experiment=_experiment(context, state, records[0], floor),
         warnings=warnings,
         records=tuple(records),
         validation_records=tuple(held),
-        curves=curves_of(bench, growth, records, held),
+        curves=curves_of(context, state, records, held),
         identification=identification,
-        terms=growth.stage.candidate.terms,
+        terms=state.stage.candidate.terms,
         own_model=baseline.own,
-        gate=gate_of(growth),
+        gate=gate_of(state),
     )
 
 
-def _misfits(test: StructureTest, growth: Growth) -> bool:
+def _misfits(test: StructureTest, state: SearchState) -> bool:
     """Whether M, D, K do not fit by the test of the identification, which takes colour of the noise for a little more
     of dynamics."""
-    chain, share = growth.screening.chain, 0.0
-    if chain.ratio > 0.0:
+    noise_model, share = state.screening.noise_model, 0.0
+    if noise_model.ratio > 0.0:
         share = 2 * MISFIT_SHARE
-    elif np.any(np.diag(chain.lower) < COLOURED * chain.level):
+    elif np.any(np.diag(noise_model.lower) < COLOURED * noise_model.level):
         share = MISFIT_SHARE
     return test.p_value < MISFIT and test.explained_percent > share
 
 
-def _experiment(bench: Bench, growth: Growth, record: Record, floor):
+def _experiment(context: SearchContext, state: SearchState, record: Record, floor):
     """The experiment that separates the first class that the record leaves open."""
-    for accepted in growth.accepted:
+    for accepted in state.accepted:
         if accepted.rivals:
-            members = [growth.fit.candidate, *(rival.fit.candidate for rival in accepted.rivals)]
-            return next_experiment(bench, members, record, floor, progress=bench.progress)
+            members = [state.fit.candidate, *(rival.fit.candidate for rival in accepted.rivals)]
+            return next_experiment(context, members, record, floor, progress=context.progress)
     return None
 
 
-def _depends_on(growth: Growth) -> tuple[str, ...]:
+def _depends_on(state: SearchState) -> tuple[str, ...]:
     """Variables on which what is left depends: of the best candidates of the last look."""
     words = []
     families = {
@@ -338,7 +346,7 @@ def _depends_on(growth: Growth) -> tuple[str, ...]:
         "structure": "frequency or time",
         "disturbance": "time",
     }
-    for score in list(growth.screening.best_by_effect().values())[:3]:
+    for score in list(state.screening.best_by_effect().values())[:3]:
         if score.delta_bic > 0 and score.shape.effect.id != FlexibleForce.id:
             words.append(
                 f"{families.get(score.shape.effect.family, score.shape.effect.family)} ({score.shape.place.name})"
@@ -346,9 +354,9 @@ def _depends_on(growth: Growth) -> tuple[str, ...]:
     return tuple(dict.fromkeys(words))
 
 
-def _own_warnings(identification: Identification, growth: Growth) -> tuple[str, ...]:
+def _own_warnings(identification: Identification, state: SearchState) -> tuple[str, ...]:
     """Warnings of the linear fit; what a finding has mended is no longer one."""
-    if not growth.accepted:
+    if not state.accepted:
         return identification.warnings
     mended = ("M, D, K of", "The residual is not white", "Poor fit", "The residual is correlated")
     return tuple(text for text in identification.warnings if not text.startswith(mended))

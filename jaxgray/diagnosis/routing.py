@@ -45,7 +45,7 @@ USABLE = 80.0
 NEARER = 0.5
 """Error of the force equation's model over windows, relative to that of the free run's, from which it is the better."""
 
-HOPELESS = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
+MAX_CRITERION_GAP = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
 """Failures of the linear fit that no other way mends."""
 
 
@@ -71,7 +71,7 @@ def begin(
         identification = identify(records, validation=held, progress=progress, **options)
     except ComputationError as error:
         failure = error
-        if any(error.result == one for one in HOPELESS) or not any(np.any(record.u) for record in records):
+        if any(error.result == one for one in MAX_CRITERION_GAP) or not any(np.any(record.u) for record in records):
             raise
     drive = drive_by(records[0], options)
     rng = np.random.default_rng(seed)

@@ -2,36 +2,36 @@
 
 from ..mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 
-ACCEPTED = 10.0
+MIN_DELTA_BIC = 10.0
 """ΔBIC of a refit from which it is believed."""
 
-ALIKE = 6.0
+CLASS_DELTA_BIC = 6.0
 """Difference of BIC within which two refits count as one class."""
 
-SIGNIFICANT = 4.0
+MIN_STANDARD_ERRORS = 4.0
 """|β|/se from which an amplitude counts."""
 
-GATE = 10.0
+GATE_DELTA_BIC = 10.0
 """ΔBIC from which a candidate counts."""
 
 SIGNIFICANCE = 0.01
 """Family-wise probability of a false alarm (Holm)."""
 
-HOPELESS = 100.0
+MAX_CRITERION_GAP = 100.0
 """Distance in criterion from the best first refit beyond which a candidate is not pursued; its refit is given up at
 twice this."""
 
-STANDING_ALIKE = 10.0
+LOOK_ALIKE_DELTA_BIC = 10.0
 """Difference of BIC within which two laws that are easily alike count as one class."""
 
 CONTACT = frozenset({DeadZoneStiffness.id, EndStop.id})
 """Laws that differ in their name alone, by how much of the record is spent in contact."""
 
-EXPLAINED = 0.1
+MIN_EXPLAINED_SHARE = 0.1
 """Least share of what is left above the noise that a finding must explain."""
 
-MOVED_ALONG = 2.0
-"""|β|/se that is enough where ΔBIC is beyond `CLEAR`."""
+MIN_STANDARD_ERRORS_IF_CLEAR = 2.0
+"""|β|/se that is enough where ΔBIC is beyond `CLEAR_DELTA_BIC`."""
 
-CLEAR = 100.0
+CLEAR_DELTA_BIC = 100.0
 """ΔBIC from which something is there, whatever the noise."""

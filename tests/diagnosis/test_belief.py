@@ -9,7 +9,7 @@ from jaxgray.diagnosis.conclusions.assembly import picked_up
 from jaxgray.diagnosis.estimation.significance import significance
 from jaxgray.diagnosis.findings import Reason, Rejected
 from jaxgray.diagnosis.search.forward import _class_of, _unsure
-from jaxgray.diagnosis.settings import SIGNIFICANT
+from jaxgray.diagnosis.settings import MIN_STANDARD_ERRORS
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
 
@@ -32,7 +32,7 @@ def test_a_size_that_its_shape_moves_along_with_counts_by_its_error_beside_that_
     known = np.sqrt(np.linalg.inv(information[:4, :4])[3, 3])
     assert significance(fit, layout, 0, given_shape=True) == pytest.approx(1.0 / known, rel=1e-9)
     assert significance(fit, layout, 0) == pytest.approx(1.0 / np.sqrt(fit.covariance[3, 3]), rel=1e-9)
-    assert significance(fit, layout, 0) < SIGNIFICANT < significance(fit, layout, 0, given_shape=True)
+    assert significance(fit, layout, 0) < MIN_STANDARD_ERRORS < significance(fit, layout, 0, given_shape=True)
 
 
 def test_a_size_that_is_nothing_does_not_count_whatever_is_known_of_its_shape():
@@ -66,9 +66,9 @@ def test_only_what_was_refused_for_its_error_alone_in_this_round_is_judged_again
     earlier = Rejected("coulomb_friction", "y1", 20.0, "only 1.0 standard errors from nothing", reason=Reason.UNCERTAIN)
     now = Rejected("sine_stiffness", "y1", 20.0, "only 1.8 standard errors from nothing", reason=Reason.UNCERTAIN)
     other = Rejected("cubic_stiffness", "y1", 25.0, "no sure gain on held-out data", reason=Reason.NO_SURE_GAIN)
-    growth = SimpleNamespace(rejected=[earlier, now, other])
-    assert [one.name[0] for one in _unsure(growth, ranked, 1)] == ["sine_stiffness"]
-    assert growth.rejected == [earlier, other]
+    state = SimpleNamespace(rejected=[earlier, now, other])
+    assert [one.name[0] for one in _unsure(state, ranked, 1)] == ["sine_stiffness"]
+    assert state.rejected == [earlier, other]
 
 
 def test_a_periodic_force_is_said_to_look_like_hum_of_the_sensor():

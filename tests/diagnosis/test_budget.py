@@ -24,12 +24,12 @@ def budget(left, floor, *, all_noise, accepted=()):
     e, data = left
     e = np.pad(e, ((0, len(data.y) - len(e)), (0, 0)))
     fits = [SimpleNamespace(fit=SimpleNamespace(residual=[e]), name=("coulomb_friction", "y1")) for _ in accepted]
-    growth = SimpleNamespace(
+    state = SimpleNamespace(
         start=SimpleNamespace(e=2 * e if accepted else e),
         stage=SimpleNamespace(e=e),
         accepted=[SimpleNamespace(attempt=one) for one in fits],
     )
-    return budget_of(growth, SimpleNamespace(data=[data]), np.array([floor]), all_noise=all_noise)
+    return budget_of(state, SimpleNamespace(data=[data]), np.array([floor]), all_noise=all_noise)
 
 
 def test_what_is_left_and_unexplained_is_noise_in_its_white_part_alone(left):

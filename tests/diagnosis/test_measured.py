@@ -115,7 +115,7 @@ def test_a_hand_among_the_data_of_the_fit_does_not_hide_gravity():
     gravity = next(f for f in diagnosis.findings if f.effect == "sine_stiffness")
     length = gravity.parameters["length"]
     assert length.value == pytest.approx(1.0, abs=0.01)
-    (push,) = search.pushes
+    (push,) = search.brief_forces
     assert push.force > 5 * push.applied and search.records[push.record].time[push.first] > 15
 
 
@@ -181,7 +181,7 @@ def test_a_knock_is_said_and_left_out(start):
     assert effects(diagnosis) == ["coulomb_friction"] and diagnosis.verdict == "named"
     friction = diagnosis.findings[-1].parameters["Fc"]
     assert friction.value == pytest.approx(2.0, rel=0.05)
-    (push,) = search.pushes
+    (push,) = search.brief_forces
     record = (search.records + search.held)[push.record]
     assert record.time[push.first] <= start and record.time[push.last] >= start + 0.1
     assert record.time[push.last] - record.time[push.first] < 1.0 and push.force > 2 * push.applied > 0
@@ -192,7 +192,7 @@ def test_a_knock_is_said_and_left_out(start):
 
 def test_forces_of_the_inputs_size_are_no_knock():
     _, search = by_force(*knocked(10.2, Effect("coulomb_friction", "y1", {"Fc": 2.0}), force=10.0), LAWS)
-    assert search.pushes == ()
+    assert search.brief_forces == ()
 
 
 def test_a_rigid_body_with_nothing_hidden_is_left_alone():

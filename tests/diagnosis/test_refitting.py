@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 from found import diagnosed, hidden_case, model_findings
 
-from jaxgray.diagnosis.estimation import context as bench
+from jaxgray.diagnosis.estimation import context as context
 from jaxgray.diagnosis.estimation.gauss_newton import _Step
 from jaxgray.identification.structure import Structure
 from jaxgray.numerics import side_by_side
@@ -15,13 +15,13 @@ FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "pos
 
 def test_a_second_core_changes_nothing_and_the_noise_of_a_fit_is_estimated_once(monkeypatch):
     case = hidden_case("coulomb_friction")
-    found, estimate, residuals = [], bench.estimate_chain, []
+    found, estimate, residuals = [], context.estimate_noise_model, []
 
     def kept(e, *rest):
         residuals.append(e)
         return estimate(e, *rest)
 
-    monkeypatch.setattr(bench, "estimate_chain", kept)
+    monkeypatch.setattr(context, "estimate_noise_model", kept)
     for cores in (1, 2):
         monkeypatch.setattr(side_by_side, "cores", lambda cores=cores: cores)
         residuals.clear()

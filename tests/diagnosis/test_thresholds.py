@@ -12,7 +12,7 @@ from hidden_simulation import System
 
 import jaxgray
 from jaxgray.diagnosis.conclusions.assembly import estimates_of
-from jaxgray.diagnosis.estimation.context import chain_of
+from jaxgray.diagnosis.estimation.context import noise_model_of
 from jaxgray.diagnosis.estimation.element_sums import elements_of
 from jaxgray.diagnosis.estimation.gauss_newton import refit
 from jaxgray.diagnosis.estimation.multistart import Attempt
@@ -119,34 +119,38 @@ def test_only_sums_of_like_elements_are_begun_from_other_thresholds():
 def test_a_law_that_only_brings_another_to_its_best_values_is_not_kept(monkeypatch):
     # As where the first law was accepted from values that were not its best: any law refitted with it mends them.
     seen = []
-    monkeypatch.setattr(growing, "prune", lambda bench, growth: seen.append((bench, dataclasses.replace(growth))))
+    monkeypatch.setattr(growing, "prune", lambda context, state: seen.append((context, dataclasses.replace(state))))
     case = hidden_case("cubic_stiffness")
     diagnosed(case, only=["cubic_stiffness", "constant_force"])
-    bench, growth = seen[0]
-    best, chain, accepted = growth.fit, chain_of(bench, growth.fit), growth.accepted[0]
+    context, state = seen[0]
+    best, noise_model, accepted = state.fit, noise_model_of(context, state.fit), state.accepted[0]
 
     def off(term):
         return Term(term.effect, term.place, 0.8 * np.array(term.values, dtype=float))
 
     poor = best.candidate.with_terms(tuple(map(off, best.candidate.terms)))
-    poor = refit(bench.simulator, poor, bench.data, chain, held=bench.held, max_steps=0)
+    poor = refit(context.simulator, poor, context.data, noise_model, held=context.held, max_steps=0)
     added = Term(by_id("constant_force"), Place("y1", 0), np.zeros(1))
     both = refit(
-        bench.simulator, poor.candidate.with_terms((*poor.candidate.terms, added)), bench.data, chain, held=bench.held
+        context.simulator,
+        poor.candidate.with_terms((*poor.candidate.terms, added)),
+        context.data,
+        noise_model,
+        held=context.held,
     )
     shape = dataclasses.replace(accepted.attempt.score.shape, effect=added.effect, place=added.place)
     score = dataclasses.replace(accepted.attempt.score, shape=shape)
-    growth.accepted = [
+    state.accepted = [
         dataclasses.replace(accepted, attempt=dataclasses.replace(accepted.attempt, fit=poor, delta_bic=100.0)),
-        Accepted(Attempt(score, both, chain, delta_bic=900.0), (), accepted.gain, growth.runs),
+        Accepted(Attempt(score, both, noise_model, delta_bic=900.0), (), accepted.gain, state.runs),
     ]
-    growth.fit, growth.rejected = both, []
-    prune(bench, growth)
-    assert [one.attempt.name[0] for one in growth.accepted] == ["cubic_stiffness"]
-    assert [one.effect for one in growth.rejected] == ["constant_force"]
-    left, true = growth.accepted[0].attempt, float(best.candidate.terms[0].values[0])
+    state.fit, state.rejected = both, []
+    prune(context, state)
+    assert [one.attempt.name[0] for one in state.accepted] == ["cubic_stiffness"]
+    assert [one.effect for one in state.rejected] == ["constant_force"]
+    left, true = state.accepted[0].attempt, float(best.candidate.terms[0].values[0])
     assert float(left.fit.candidate.terms[0].values[0]) == pytest.approx(true, rel=0.02)
-    assert growth.fit is left.fit and left.delta_bic > 900
+    assert state.fit is left.fit and left.delta_bic > 900
 
 
 def test_elements_at_one_threshold_are_said_as_one():

@@ -9,7 +9,7 @@ import pytest
 from found import check_found, diagnosed
 
 import jaxgray
-from jaxgray.diagnosis.estimation.context import chain_of
+from jaxgray.diagnosis.estimation.context import noise_model_of
 from jaxgray.diagnosis.estimation.gauss_newton import refit
 from jaxgray.diagnosis.estimation.multistart import Attempt
 from jaxgray.diagnosis.estimation.significance import at_bound
@@ -32,7 +32,7 @@ def friction():
     case = hidden.random_case(rng, "stribeck_friction", excess=(1.5, 4.0), samples=4000, dofs=(1, 2, 3))
     seen = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(growing, "prune", lambda bench, growth: seen.append((bench, dataclasses.replace(growth))))
+        patch.setattr(growing, "prune", lambda context, state: seen.append((context, dataclasses.replace(state))))
         diagnosis = diagnosed(case, only=LAWS)
     return case, diagnosis, seen
 
@@ -44,31 +44,33 @@ def test_friction_at_rest_is_found_from_the_refit_without_it(friction):
 
 
 def test_a_wider_law_takes_in_the_simpler_one_accepted_before(friction):
-    bench, growth = friction[2][0]
-    whole, chain, accepted = growth.fit, chain_of(bench, growth.fit), growth.accepted[0]
+    context, state = friction[2][0]
+    whole, noise_model, accepted = state.fit, noise_model_of(context, state.fit), state.accepted[0]
     wide = whole.candidate.terms[0]
     Fc, Fs, vs, eps = (float(value) for value in wide.values)
     simple = Term(by_id("coulomb_friction"), wide.place, np.array([Fc, eps]))
-    first = refit(bench.simulator, whole.candidate.with_terms((simple,)), bench.data, chain, held=bench.held)
+    first = refit(
+        context.simulator, whole.candidate.with_terms((simple,)), context.data, noise_model, held=context.held
+    )
     # The same force as the sum of two laws, of which the wider one has nothing left of what both name.
     beside = Term(wide.effect, wide.place, np.array([0.0, Fs - Fc, vs, eps]))
     both = whole.candidate.with_terms((simple, beside))
-    both = refit(bench.simulator, both, bench.data, chain, held=bench.held, max_steps=0)
+    both = refit(context.simulator, both, context.data, noise_model, held=context.held, max_steps=0)
     assert at_bound(both, 1) is None
     assert at_bound(dataclasses.replace(both, candidate=both.candidate.with_terms((beside,))), 0) == "Fc"
 
     score, shape = accepted.attempt.score, accepted.attempt.score.shape
     coulomb = dataclasses.replace(score, shape=dataclasses.replace(shape, effect=simple.effect))
-    growth.accepted = [
-        Accepted(Attempt(coulomb, first, chain, delta_bic=300.0), (), accepted.gain, growth.runs),
-        dataclasses.replace(accepted, attempt=Attempt(score, both, chain, delta_bic=200.0), rivals=()),
+    state.accepted = [
+        Accepted(Attempt(coulomb, first, noise_model, delta_bic=300.0), (), accepted.gain, state.runs),
+        dataclasses.replace(accepted, attempt=Attempt(score, both, noise_model, delta_bic=200.0), rivals=()),
     ]
-    growth.fit, growth.rejected = both, []
-    prune(bench, growth)
-    (left,) = growth.accepted
-    assert left.attempt.name == ("stribeck_friction", wide.place.name) and left.attempt.fit is growth.fit
-    assert [(one.effect, one.location) for one in growth.rejected] == [("coulomb_friction", wide.place.name)]
-    np.testing.assert_allclose(growth.fit.candidate.terms[0].values, wide.values, rtol=0.02)
+    state.fit, state.rejected = both, []
+    prune(context, state)
+    (left,) = state.accepted
+    assert left.attempt.name == ("stribeck_friction", wide.place.name) and left.attempt.fit is state.fit
+    assert [(one.effect, one.location) for one in state.rejected] == [("coulomb_friction", wide.place.name)]
+    np.testing.assert_allclose(state.fit.candidate.terms[0].values, wide.values, rtol=0.02)
     assert left.attempt.delta_bic > 480
 
 

@@ -9,8 +9,8 @@ from ...mechanics.model import MechanicalModel
 from ...mechanics.units import composed_unit, displacement_unit
 from ...numerics.stored_programs import ONCE, stored
 from ...records import Record
-from ..estimation.change_points import moment_errors
-from ..estimation.context import Bench
+from ..estimation.change_points import change_point_errors
+from ..estimation.context import SearchContext
 from ..estimation.element_sums import at_one_threshold, elements_of
 from ..estimation.gauss_newton import Refit
 from ..findings import Curves, Estimate, Finding, Member, ModelSummary, NotFound, ParameterShift
@@ -21,7 +21,7 @@ from ..noise.floor import residual_rms
 from ..noise.whitening import white_part
 from ..screening.flexible_force import FlexibleForce
 from ..screening.score_test import Screening
-from ..search.state import Accepted, Growth
+from ..search.state import Accepted, SearchState
 from ..words.titles import place_of, title_of
 
 
@@ -97,15 +97,15 @@ def term_errors(fit: Refit, setup: Setup, index: int) -> dict[int, float]:
     return errors
 
 
-def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, ...]:
+def findings_of(context: SearchContext, state: SearchState, record: Record) -> tuple[Finding, ...]:
     """Everything that was accepted, in order, with the class of each."""
     found = []
-    for k, accepted in enumerate(growth.accepted):
-        members = [_member(bench, growth.fit or accepted.attempt.fit, k, record, 0.0)]
+    for k, accepted in enumerate(state.accepted):
+        members = [_member(context, state.fit or accepted.attempt.fit, k, record, 0.0)]
         for rival in accepted.rivals:
             difference = accepted.attempt.criterion - rival.criterion
             at = [(t.effect.id, t.place.name) for t in rival.fit.candidate.terms].index(rival.name)
-            members.append(_member(bench, rival.fit, at, record, difference))
+            members.append(_member(context, rival.fit, at, record, difference))
         found.append(
             Finding(
                 *accepted.attempt.name,
@@ -121,10 +121,10 @@ def findings_of(bench: Bench, growth: Growth, record: Record) -> tuple[Finding, 
     return tuple(found)
 
 
-def _member(bench: Bench, fit: Refit, index: int, record: Record, difference: float) -> Member:
-    setup = bench.simulator.setup
+def _member(context: SearchContext, fit: Refit, index: int, record: Record, difference: float) -> Member:
+    setup = context.simulator.setup
     term, errors = fit.candidate.terms[index], term_errors(fit, setup, index)
-    errors = errors | moment_errors(bench, fit, index, errors)
+    errors = errors | change_point_errors(context, fit, index, errors)
     parameters = estimates_of(term, errors, record, per_mass=setup.per_mass)
     return Member(term.effect.id, term.place.name, float(difference), parameters)
 
@@ -201,7 +201,9 @@ def shifts_of(before: MechanicalModel, after: MechanicalModel, errors) -> tuple[
     return tuple(result)
 
 
-def not_found_of(screening: Screening, bench: Bench, record: Record, taken: frozenset) -> tuple[NotFound, ...]:
+def not_found_of(
+    screening: Screening, context: SearchContext, record: Record, taken: frozenset
+) -> tuple[NotFound, ...]:
     """Every other candidate, with the smallest size that would have been seen in this record."""
     result = []
     for (effect, place), score in screening.best_by_place().items():
@@ -212,39 +214,41 @@ def not_found_of(screening: Screening, bench: Bench, record: Record, taken: froz
         amplitudes = [j for j, p in enumerate(shape.effect.parameters) if p.amplitude]
         values[amplitudes] = np.abs(values[amplitudes]) * score.smallest
         term = Term(shape.effect, shape.place, values)
-        smallest = estimates_of(term, {}, record, per_mass=bench.simulator.setup.per_mass)
+        smallest = estimates_of(term, {}, record, per_mass=context.simulator.setup.per_mass)
         names = [shape.effect.parameters[j].name for j in amplitudes] or list(smallest)
         result.append(NotFound(effect, place, {name: smallest[name] for name in names}))
     return tuple(result)
 
 
-def budget_of(growth: Growth, bench: Bench, floor: np.ndarray, *, all_noise: bool) -> dict[str, float]:
+def budget_of(state: SearchState, context: SearchContext, floor: np.ndarray, *, all_noise: bool) -> dict[str, float]:
     """Share of every finding, noise and the unexplained in the mean square error of the baseline, in percent.
 
     **Arguments:** `floor` per output; `all_noise`: whether all that is left may be noise; otherwise no more than its
     white part is.
     """
-    data = bench.data[0]
+    data = context.data[0]
 
     def power(e):
         return float(np.mean((residual_rms(e, data) / floor) ** 2))
 
-    before = power(growth.start.e)
+    before = power(state.start.e)
     shares, last = {}, before
-    for accepted in growth.accepted:
+    for accepted in state.accepted:
         now = power(accepted.attempt.fit.residual[0])
         shares[f"{accepted.attempt.name[0]} at {accepted.attempt.name[1]}"] = 100 * (last - now) / before
         last = now
-    most = 1.0 if all_noise else float(np.mean(white_part(growth.stage.e, data.kept) / floor**2))
+    most = 1.0 if all_noise else float(np.mean(white_part(state.stage.e, data.kept) / floor**2))
     noise = min(most, last)
     return {**shares, "noise": 100 * noise / before, "unexplained": 100 * (last - noise) / before}
 
 
-def curves_of(bench: Bench, growth: Growth, records: list[Record], held: list[Record]) -> tuple[Curves, ...]:
+def curves_of(
+    context: SearchContext, state: SearchState, records: list[Record], held: list[Record]
+) -> tuple[Curves, ...]:
     """Series for the figures: the estimation record, then those held out."""
     result = []
-    pairs = [(records[0], growth.start.motion.y, growth.stage.motion.y, False)]
-    for record, before, after in zip(held, growth.baseline_runs, growth.runs):
+    pairs = [(records[0], state.start.motion.y, state.stage.motion.y, False)]
+    for record, before, after in zip(held, state.baseline_runs, state.runs):
         pairs.append((record, before.simulated, after.simulated, True))
     for record, before, after, held_out in pairs:
         n = record.samples
@@ -257,15 +261,15 @@ def accepted_names(accepted: list[Accepted]) -> frozenset:
     return frozenset(a.attempt.name for a in accepted)
 
 
-def open_scale(growth: Growth, setup: Setup, names: tuple[str, ...]) -> tuple[str, ...]:
+def open_scale(state: SearchState, setup: Setup, names: tuple[str, ...]) -> tuple[str, ...]:
     """A warning where M, D, K and a law can change together and nothing shows it."""
-    if not growth.accepted:
+    if not state.accepted:
         return ()
-    layout, loose = Layout(setup, growth.fit.candidate), growth.fit.undetermined
+    layout, loose = Layout(setup, state.fit.candidate), state.fit.undetermined
     if not np.any(loose[: layout.entries]):
         return ()
     owners = {k for (k, _), on in zip(layout.terms, loose[layout.first :]) if on}
-    laws = [title_of(t.effect.id, t.place.name, names) for k, t in enumerate(growth.fit.candidate.terms) if k in owners]
+    laws = [title_of(t.effect.id, t.place.name, names) for k, t in enumerate(state.fit.candidate.terms) if k in owners]
     beside = f" beside {' and '.join(laws)}" if laws else ""
     return (
         f"This record does not determine all of M, D, K{beside}: their standard errors leave out a direction in which "
@@ -273,9 +277,9 @@ def open_scale(growth: Growth, setup: Setup, names: tuple[str, ...]) -> tuple[st
     )
 
 
-def picked_up(growth: Growth, names: tuple[str, ...]) -> tuple[str, ...]:
+def picked_up(state: SearchState, names: tuple[str, ...]) -> tuple[str, ...]:
     """A warning where a periodic force may be a hum that a sensor picks up."""
-    places = [a.attempt.name[1] for a in growth.accepted if a.attempt.name[0] == "periodic_disturbance"]
+    places = [a.attempt.name[1] for a in state.accepted if a.attempt.name[0] == "periodic_disturbance"]
     return tuple(
         f"A hum that the sensor {place_of(place, names)} picks up looks the same as a periodic force there. If the "
         "force is larger than any that acts, it is one: switch off what hums, or filter the line."

@@ -3,30 +3,30 @@
 import dataclasses
 
 from ...records import Record
-from ..estimation.context import Bench
+from ..estimation.context import SearchContext
 from ..findings import Gated, Rejected
 from ..screening.flexible_force import FlexibleForce
-from ..search.state import Growth
+from ..search.state import SearchState
 from .assembly import estimates_of, term_errors
 
 MOST = 40
 """Candidates of the gate that a result keeps: far more than anybody reads."""
 
 
-def gate_of(growth: Growth) -> tuple[Gated, ...]:
+def gate_of(state: SearchState) -> tuple[Gated, ...]:
     """Evidence for the best candidates at the first look, best first."""
-    if growth.first is None:
+    if state.first is None:
         return ()
-    best = growth.first.best_by_place().items()
+    best = state.first.best_by_place().items()
     kept = [(name, score) for name, score in best if name[0] != FlexibleForce.id]
     return tuple(Gated(*name, float(score.delta_bic)) for name, score in kept[:MOST])
 
 
-def rejected_of(bench: Bench, growth: Growth, record: Record) -> tuple[Rejected, ...]:
+def rejected_of(context: SearchContext, state: SearchState, record: Record) -> tuple[Rejected, ...]:
     """What was refitted and not taken, with the parameters that its last refit found."""
-    setup, made = bench.simulator.setup, []
-    for one in growth.rejected:
-        fit = growth.tried.get((one.effect, one.location))
+    setup, made = context.simulator.setup, []
+    for one in state.rejected:
+        fit = state.tried.get((one.effect, one.location))
         if fit is not None:
             index = len(fit.candidate.terms) - 1
             estimates = estimates_of(

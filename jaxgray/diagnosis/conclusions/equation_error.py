@@ -18,7 +18,7 @@ from ..model.free_run import FreeRun, overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.whitening import white_part
 from ..result import Diagnosis
-from ..settings import GATE
+from ..settings import GATE_DELTA_BIC
 from .assembly import estimates_of, shifts_of
 
 FAR = 10.0
@@ -67,7 +67,7 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
         f"{search.equation.series[0].cutoff_hz:.3g} Hz; fits and errors are those of free runs over windows of "
         f"{window:.3g} s, the first state of each estimated.",
         f"Relative force error where it moves: {errors[0]:.3g} before, {errors[1]:.3g} after.",
-        *warnings_of(search.pushes, [*search.records, *held], search.model(search.fit)),
+        *warnings_of(search.brief_forces, [*search.records, *held], search.model(search.fit)),
     )
     noise = noise_findings(record, _padded(search.runs[0][0].e, record))
     return Diagnosis(
@@ -161,7 +161,7 @@ def _summary(search: Search, fit: ForceFit, runs: tuple[list[FreeRun], list[Free
 def _not_found(search: Search, record: Record) -> tuple[NotFound, ...]:
     result = []
     for (effect, place), one in search.scores.best_by_place().items():
-        if one.delta_bic >= GATE:
+        if one.delta_bic >= GATE_DELTA_BIC:
             continue
         shape = one.shape
         values = np.array(shape.values, float)

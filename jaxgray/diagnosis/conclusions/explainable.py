@@ -2,31 +2,31 @@
 
 import numpy as np
 
-from ..estimation.context import Bench
+from ..estimation.context import SearchContext
 from ..estimation.multistart import first_fit
 from ..model.free_run import free_run, overall
 from ..screening.flexible_force import FlexibleForce
 
 
-def explainable_share(bench: Bench, growth, floor: np.ndarray) -> float | None:
+def explainable_share(context: SearchContext, state, floor: np.ndarray) -> float | None:
     """Share of the baseline's excess on held-out data that the model with a flexible force explains, η.
 
-    **Arguments:** `bench`; `growth`: how far the loop got, its last look included; `floor`: noise per output.
+    **Arguments:** `context`; `state`: how far the loop got, its last look included; `floor`: noise per output.
 
     **Returns:** η, or None where there is no held-out data or no excess on it.
     """
-    score = growth.screening.best_by_effect().get(FlexibleForce.id)
-    if score is None or not bench.validation:
+    score = state.screening.best_by_effect().get(FlexibleForce.id)
+    if score is None or not context.validation:
         return None
-    fit = first_fit(bench, growth.stage, score, growth.screening.chain, np.inf)
+    fit = first_fit(context, state.stage, score, state.screening.noise_model, np.inf)
     if fit is None:
         return None
 
     def excess(runs):
         return float(np.mean([overall(run.rmse, floor) ** 2 for run in runs])) - 1.0
 
-    before = excess(growth.baseline_runs)
-    after = excess([free_run(bench.simulator, fit.candidate, d) for d in bench.validation])
+    before = excess(state.baseline_runs)
+    after = excess([free_run(context.simulator, fit.candidate, d) for d in context.validation])
     if not (np.isfinite(after) and before > 0):
         return None
     return float(np.clip((before - after) / before, 0.0, 1.0))

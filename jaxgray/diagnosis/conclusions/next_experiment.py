@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ...identification.conic import pseudo_inverse
 from ...numerics.progress import AbstractProgress
 from ...records import Record
-from ..estimation.context import Bench
+from ..estimation.context import SearchContext
 from ..findings import NextExperiment
 from ..model.candidate import Candidate, Data
 
@@ -30,7 +30,7 @@ OVERFLOWING = 1e100
 
 
 def next_experiment(
-    bench: Bench,
+    context: SearchContext,
     members: list[Candidate],
     record: Record,
     floor: Float[np.ndarray, " outputs"],
@@ -45,24 +45,24 @@ def next_experiment(
 
         d² = min_δ ‖(y_i − y_j − J_i δ)/σ‖².
 
-    **Arguments:** `bench`; `members`: the class, refitted; `record`: whose amplitude and band are kept, and its length,
-    or that of a shorter held-out one; `floor`: noise σ per output; `progress`.
+    **Arguments:** `context`; `members`: the class, refitted; `record`: whose amplitude and band are kept, and its
+    length, or that of a shorter held-out one; `floor`: noise σ per output; `progress`.
 
     **Returns:** a `NextExperiment`, or None where the members cannot be simulated or no input separates them better.
 
     **Reference:** Hunter & Reiner (1965), designs for discriminating between two rival models.
     """
-    rng = bench.rng
-    now = separation(bench, members, bench.data[0], floor)
+    rng = context.rng
+    now = separation(context, members, context.data[0], floor)
     if now is None:
         return None
-    long_enough = [d for d in bench.validation if d.samples >= SHORTEST]
-    data = min((bench.data[0], *long_enough), key=lambda d: d.samples)
+    long_enough = [d for d in context.validation if d.samples >= SHORTEST]
+    data = min((context.data[0], *long_enough), key=lambda d: d.samples)
     data = dataclasses.replace(data, kept=np.arange(len(data.u))[:, None] < np.full(len(floor), data.samples))
     tried = []
     for k, (name, u) in enumerate(inputs_like(record, data.samples, rng)):
         progress.stage("designing the next experiment", fraction=k / 20)
-        d = separation(bench, members, _with_input(data, u), floor)
+        d = separation(context, members, _with_input(data, u), floor)
         if d is not None:
             tried.append((d, name, u))
     if not tried:
@@ -72,7 +72,7 @@ def next_experiment(
     for _ in range(ROUNDS):
         for u in _children(best[2], peak, rng):
             progress.stage("designing the next experiment")
-            d = separation(bench, members, _with_input(data, u), floor)
+            d = separation(context, members, _with_input(data, u), floor)
             if d is not None and d > best[0]:
                 best = d, best[1], u
     d, name, u = best
@@ -89,10 +89,10 @@ def next_experiment(
     return NextExperiment(ids, u, record.sampling_time, float(d), float(now), text)
 
 
-def separation(bench: Bench, members: list[Candidate], data: Data, floor) -> float | None:
+def separation(context: SearchContext, members: list[Candidate], data: Data, floor) -> float | None:
     """The least d² between the first member and any other; None where one overflows."""
     first = Candidate(members[0].entries, (np.zeros(len(members[0].x0[0])),), members[0].terms)
-    y, J = bench.simulator.run_and_jacobian(first, data)
+    y, J = context.simulator.run_and_jacobian(first, data)
     scale = np.where(data.kept[:, :, None], 1 / floor[None, :, None], 0.0)
     table = (J * scale).reshape(-1, J.shape[2])
     if not np.max(np.abs(table)) < OVERFLOWING:
@@ -101,7 +101,7 @@ def separation(bench: Bench, members: list[Candidate], data: Data, floor) -> flo
     least = None
     for other in members[1:]:
         still = Candidate(other.entries, (np.zeros(len(other.x0[0])),), other.terms)
-        e = ((bench.simulator.run(still, data) - y) * scale[:, :, 0]).reshape(-1)
+        e = ((context.simulator.run(still, data) - y) * scale[:, :, 0]).reshape(-1)
         if not np.max(np.abs(e)) < OVERFLOWING:
             return None
         across = table.T @ e
@@ -132,11 +132,11 @@ def inputs_like(record: Record, samples: int, rng: np.random.Generator):
         for upper in (highest, highest / 4):
             u = np.stack([_multisine(rng, n, h, upper) for _ in range(inputs)], axis=1)
             result.append((f"a multisine up to {upper:.3g} Hz", factor * peak * u))
-    grow = np.linspace(0.1, 1.0, n)[:, None]
+    select_forward = np.linspace(0.1, 1.0, n)[:, None]
     u = np.stack([_multisine(rng, n, h, highest) for _ in range(inputs)], axis=1)
-    result.append((f"a multisine up to {highest:.3g} Hz of growing amplitude", peak * grow * u))
+    result.append((f"a multisine up to {highest:.3g} Hz of growing amplitude", peak * select_forward * u))
     u = np.stack([_steps(rng, n, 2.0 / (highest * h)) for _ in range(inputs)], axis=1)
-    result.append(("random steps of growing amplitude", peak * grow * u))
+    result.append(("random steps of growing amplitude", peak * select_forward * u))
     t = np.arange(n) * h
     phase = 2 * np.pi * (0.02 * highest * t + 0.5 * (highest - 0.02 * highest) * t**2 / (n * h))
     result.append(

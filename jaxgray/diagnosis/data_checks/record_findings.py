@@ -5,7 +5,7 @@ import numpy as np
 from ...identification.validation import residual_test
 from ...records import Record, preflight
 from ..findings import Estimate, Finding
-from ..noise.whitening import Chain
+from ..noise.whitening import NoiseModel
 
 WORTH = 10.0
 """Difference of likelihood (N ln det) from which noise at the forces is said."""
@@ -45,22 +45,22 @@ def still_spoilt(cleaned: Record) -> bool:
     return any(finding.effect in LEFT_OUT for finding in preflight(cleaned))
 
 
-def noise_findings(used: Record, e: np.ndarray, chain: Chain | None = None) -> tuple[Finding, ...]:
+def noise_findings(used: Record, e: np.ndarray, noise_model: NoiseModel | None = None) -> tuple[Finding, ...]:
     """Noise at the forces and feedback, as findings of stage `record`.
 
-    **Arguments:** `used`: the record without its spoilt samples; `e`: residual of the final model; `chain` that was
-    estimated from it, None where none was.
+    **Arguments:** `used`: the record without its spoilt samples; `e`: residual of the final model; `noise_model` that
+    was estimated from it, None where none was.
     """
     found = []
-    if chain is not None and chain.worth > WORTH and chain.ratio <= PLAUSIBLE:
-        further = float(np.max(chain.level / np.diag(chain.lower)))
+    if noise_model is not None and noise_model.worth > WORTH and noise_model.ratio <= PLAUSIBLE:
+        further = float(np.max(noise_model.level / np.diag(noise_model.lower)))
         message = "Noise enters at the forces too; error bars allow for it."
         if further >= SAID:
             message += (
                 f" The free run leaves {further:.1f} times what a prediction one step ahead leaves; a law that is not "
                 "in the catalogue can look the same."
             )
-        values = {"ratio": Estimate(float(chain.ratio), None, "")}
+        values = {"ratio": Estimate(float(noise_model.ratio), None, "")}
         found.append(Finding("process_noise", "record", "named", "record", (), values, None, None, message))
     if residual_test(np.where(np.isnan(used.y), np.nan, e[: used.samples]), used.u).feedback:
         message = (

@@ -10,7 +10,7 @@ from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Place
 from ..model.candidate import estimated
 from ..screening.features import Shape
 from ..screening.score_test import Score, allowed
-from ..settings import GATE
+from ..settings import GATE_DELTA_BIC
 from .regression import Equation, ForceFit, Weight
 
 WIDER = (0.25, 4.0)
@@ -46,7 +46,7 @@ class Scores:
     @property
     def fires(self) -> bool:
         """Whether any candidate passes the gate."""
-        return bool(self.scores) and self.scores[0].delta_bic >= GATE
+        return bool(self.scores) and self.scores[0].delta_bic >= GATE_DELTA_BIC
 
 
 @dataclass
@@ -154,21 +154,25 @@ def _scored(shape: Shape, X: Float[np.ndarray, "rows basis"], U, e, column: int,
     ratio, penalty = -rows * np.log1p(-share), _penalty(shape, rows)
     if ratio > penalty and not allowed(shape, weights):
         return None
-    smallest = np.sqrt((penalty + GATE) * float(e @ e) * (1 - share) / rows / power[seen].max())
+    smallest = np.sqrt((penalty + GATE_DELTA_BIC) * float(e @ e) * (1 - share) / rows / power[seen].max())
     return Score(shape, weights, float(ratio), float(ratio - penalty), 0.0, float(smallest), column)
 
 
 def _cleaned(equation: Equation, tangent, left, library: Library, found, ready, U, e, weight: Weight, rows: float):
     """What is left without M, D, K, terms and the best few candidates, chosen one after the other."""
     chosen, names = [], set()
-    pool = [one for one in found if one.delta_bic > GATE][:40]
+    pool = [one for one in found if one.delta_bic > GATE_DELTA_BIC][:40]
     while len(chosen) < PICKED:
         best = None
         for one in pool:
             if (one.shape.effect.id, one.shape.place.name) in names:
                 continue
             again = _scored(one.shape, ready[one.column], U, e, one.column, rows)
-            if again is not None and again.delta_bic > GATE and (best is None or again.delta_bic > best.delta_bic):
+            if (
+                again is not None
+                and again.delta_bic > GATE_DELTA_BIC
+                and (best is None or again.delta_bic > best.delta_bic)
+            ):
                 best = again
         if best is None:
             break

@@ -20,11 +20,11 @@ from ..acceptance import AbstractEvidence, bound_of, negligible, unproven, unsou
 from ..findings import Gain, Reason, Refusal, Rejected
 from ..model.free_run import FreeRun, rms_of
 from ..model.held_out_gain import gain_of
-from ..settings import ALIKE, GATE, SIGNIFICANT
+from ..settings import CLASS_DELTA_BIC, GATE_DELTA_BIC, MIN_STANDARD_ERRORS
 from .library import Library, Scores, score
 from .regression import Equation, ForceFit
 from .rows import band_of, series_of
-from .unmeasured_forces import Push, samples_of
+from .unmeasured_forces import BriefForce, samples_of
 from .windows import Windows, window_samples
 
 SHORT = 8
@@ -95,7 +95,7 @@ class Search:
     base_runs: tuple[list[FreeRun], list[FreeRun]] = ((), ())
     runs: tuple[list[FreeRun], list[FreeRun]] = ((), ())
     strong: bool = False
-    pushes: tuple[Push, ...] = ()
+    brief_forces: tuple[BriefForce, ...] = ()
 
     def model(self, fit: ForceFit) -> MechanicalModel:
         """The model of a fit."""
@@ -128,13 +128,13 @@ def search_once(
     drive: AbstractDrive,
     catalogue: tuple[AbstractEffect, ...],
     max_effects: int,
-    pushes: tuple[Push, ...],
+    brief_forces: tuple[BriefForce, ...],
     rng: np.random.Generator,
     progress: AbstractProgress,
 ) -> Search:
     """Add laws to the force equation until nothing more is found.
 
-    **Arguments:** `records`, `held`: to fit, and to judge; `drive`: forces; `catalogue`; `max_effects`; `pushes`:
+    **Arguments:** `records`, `held`: to fit, and to judge; `drive`: forces; `catalogue`; `max_effects`; `brief_forces`:
     left out; `rng`: of the resampling; `progress`.
 
     **Returns:** a `Search`.
@@ -144,7 +144,7 @@ def search_once(
     progress.stage("setting up the force equation")
     E = np.asarray(drive.input_map)
     cutoff = min(map(band_of, records))
-    left_out = samples_of(pushes, records + held)
+    left_out = samples_of(brief_forces, records + held)
     series = [series_of(r, cutoff, left_out=mask) for r, mask in zip(records, left_out)]
     everything = [series_of(r, cutoff, at_rest=True, left_out=mask) for r, mask in zip(records + held, left_out)]
     equation = Equation(series, E)
@@ -159,7 +159,7 @@ def search_once(
     names = records[0].input_names, records[0].output_names
     progress.stage("looking for effects")
     library = Library.of(equation, catalogue, names)
-    search = Search(records, held, drive, equation, library, windows, rng, progress, pushes=pushes)
+    search = Search(records, held, drive, equation, library, windows, rng, progress, brief_forces=brief_forces)
     search.base = search.fit = _settled(equation, ())
     if search.base is None:
         raise ComputationError(RESULTS.nonfinite, stage="force equation", detail="no positive mass fits the record")
@@ -190,7 +190,7 @@ def _trials(search: Search) -> list[Trial]:
     starts: dict[tuple[str, str], list] = {}
     for one in search.scores.scores:
         key = one.shape.effect.id, one.shape.place.name
-        if one.delta_bic < GATE or (key not in starts and len(starts) == SHORT):
+        if one.delta_bic < GATE_DELTA_BIC or (key not in starts and len(starts) == SHORT):
             continue
         if len(starts.setdefault(key, [])) < STARTS:
             starts[key].append(one)
@@ -304,7 +304,7 @@ def _round(search: Search) -> bool:
             if other is trial:
                 continue
             needless = difference > 0 and _symbols(trial.term) <= _symbols(other.term)
-            if abs(difference) < ALIKE and not (needless and trial.term.place.name == other.term.place.name):
+            if abs(difference) < CLASS_DELTA_BIC and not (needless and trial.term.place.name == other.term.place.name):
                 rivals.append(other)
             else:
                 words = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
@@ -321,7 +321,7 @@ def _round(search: Search) -> bool:
 def _backward(search: Search) -> None:
     """Drop a law that newer ones have made needless, in the fit and held out."""
     for k in range(len(search.taken) - 1):
-        if search.fit.significance(k) >= SIGNIFICANT:
+        if search.fit.significance(k) >= MIN_STANDARD_ERRORS:
             continue
         terms = tuple(t for j, t in enumerate(search.fit.terms) if j != k)
         fit = _settled(search.equation, terms)

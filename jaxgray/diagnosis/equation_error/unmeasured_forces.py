@@ -27,7 +27,7 @@ MOST = 0.05
 
 
 @dataclass(frozen=True)
-class Push:
+class BriefForce:
     """A force on a coordinate that is not among the inputs: `record` (position), `first` and `last` sample, largest
     `force`, NaN where only the acceleration speaks for it, and the largest that was `applied`."""
 
@@ -39,7 +39,7 @@ class Push:
     applied: float
 
 
-def pushes_of(fit: ForceFit, series: list[Series], input_map: np.ndarray) -> tuple[Push, ...]:
+def brief_forces_of(fit: ForceFit, series: list[Series], input_map: np.ndarray) -> tuple[BriefForce, ...]:
     """Pushes that a fit of the force equation leaves.
 
     **Arguments:** `fit`; `series`: records in its band, with their rows at rest; `input_map` (E).
@@ -51,10 +51,10 @@ def pushes_of(fit: ForceFit, series: list[Series], input_map: np.ndarray) -> tup
     return _brief(left, PART * usual, np.maximum(SIZES * usual, applied), series, left, applied)
 
 
-def jerks_of(series: list[Series]) -> tuple[Push, ...]:
+def acceleration_outliers(series: list[Series]) -> tuple[BriefForce, ...]:
     """Accelerations apart from all others: what may be pushes that have spoilt the fit in which they would show.
 
-    **Arguments:** as of `pushes_of`.
+    **Arguments:** as of `brief_forces_of`.
     """
     sizes = [np.abs(one.a[one.rows]) for one in series]
     ranked = np.sort(np.concatenate(sizes), axis=0)
@@ -65,7 +65,7 @@ def jerks_of(series: list[Series]) -> tuple[Push, ...]:
     return _brief(sizes, apart, apart, series, [np.full_like(x, np.nan) for x in sizes], np.nan)
 
 
-def _brief(sizes, near, far, series: list[Series], forces, applied: float) -> tuple[Push, ...]:
+def _brief(sizes, near, far, series: list[Series], forces, applied: float) -> tuple[BriefForce, ...]:
     """Stretches of rows in which a size stays above `near` and passes `far`, none where they are too much of the
     records."""
     found, on = [], []
@@ -80,24 +80,24 @@ def _brief(sizes, near, far, series: list[Series], forces, applied: float) -> tu
                     # It began after the row before, and ended before the next.
                     first, last = max(one.rows[run[0]] - step, 0), min(one.rows[run[-1]] + step, samples - 1)
                     force = float(forces[record][run, dof].max())
-                    found.append(Push(record, int(first), int(last), dof, force, applied))
+                    found.append(BriefForce(record, int(first), int(last), dof, force, applied))
                     on[record][first : last + 1] = True
     share = np.mean(np.concatenate(on)) if on else 0.0
     return tuple(found) if share <= MOST else ()
 
 
-def samples_of(pushes: tuple[Push, ...], records: list[Record]) -> list[np.ndarray]:
+def samples_of(brief_forces: tuple[BriefForce, ...], records: list[Record]) -> list[np.ndarray]:
     """Which samples of every record a push acts on."""
     masks = [np.zeros(record.samples, bool) for record in records]
-    for push in pushes:
+    for push in brief_forces:
         masks[push.record][push.first : push.last + 1] = True
     return masks
 
 
-def warnings_of(pushes: tuple[Push, ...], records: list[Record], model: MechanicalModel) -> tuple[str, ...]:
+def warnings_of(brief_forces: tuple[BriefForce, ...], records: list[Record], model: MechanicalModel) -> tuple[str, ...]:
     """What is said of pushes; `records`: those of the fit and those held out."""
     result = []
-    for push in pushes:
+    for push in brief_forces:
         # Forces and torques together have no unit in common.
         units = set(model.input_units)
         name, unit = model.output_names[push.dof], units.pop() if len(units) == 1 else ""

@@ -9,7 +9,7 @@ from ...numerics.progress import AbstractProgress
 from ...records import Record
 from .rows import series_of
 from .search import Search, search_once
-from .unmeasured_forces import Push, jerks_of, pushes_of
+from .unmeasured_forces import BriefForce, acceleration_outliers, brief_forces_of
 
 PASSES = 3
 """Times that forces beside the inputs are looked for in what is left."""
@@ -35,10 +35,10 @@ def search_forces(
     **Raises:** `ComputationError` where the force equation has no solution of positive mass.
     """
     arguments = records, held, drive, catalogue, max_effects
-    search = _without_pushes(*arguments, (), rng, progress)
-    if search.taken or search.pushes:
+    search = _without_brief_forces(*arguments, (), rng, progress)
+    if search.taken or search.brief_forces:
         return search
-    suspects = jerks_of(search.windows.series)
+    suspects = acceleration_outliers(search.windows.series)
     if suspects:
         # One among the data of the fit may spoil the fit in which it would show.
         try:
@@ -47,24 +47,24 @@ def search_forces(
             return search
         found = _seen_by(without)
         if without.taken and found:
-            return _without_pushes(*arguments, found, rng, progress)
+            return _without_brief_forces(*arguments, found, rng, progress)
     return search
 
 
-def _without_pushes(records, held, drive, catalogue, max_effects, pushes, rng, progress) -> Search:
+def _without_brief_forces(records, held, drive, catalogue, max_effects, brief_forces, rng, progress) -> Search:
     """Search, look for pushes in what is left, and search again without them; some may be known."""
     for _ in range(PASSES):
-        search = search_once(records, held, drive, catalogue, max_effects, pushes, rng, progress)
+        search = search_once(records, held, drive, catalogue, max_effects, brief_forces, rng, progress)
         # The largest hide the others.
-        more = pushes_of(search.fit, search.windows.series, search.equation.input_map)
+        more = brief_forces_of(search.fit, search.windows.series, search.equation.input_map)
         if not more:
             break
-        pushes += more
+        brief_forces += more
     return search
 
 
-def _seen_by(search: Search) -> tuple[Push, ...]:
+def _seen_by(search: Search) -> tuple[BriefForce, ...]:
     """Pushes that a fit sees in the whole of its records, what was left out included."""
     cutoff = search.windows.series[0].cutoff_hz
     series = [series_of(r, cutoff, at_rest=True) for r in search.records + search.held]
-    return pushes_of(search.fit, series, search.equation.input_map)
+    return brief_forces_of(search.fit, series, search.equation.input_map)

@@ -4,8 +4,8 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractOutputEffect, Scales, Term, onset_of
 from ..model.candidate import Candidate
-from ..noise.whitening import Chain, counted
-from .context import Bench, chain_of
+from ..noise.whitening import NoiseModel, counted
+from .context import SearchContext, noise_model_of
 from .gauss_newton import Refit
 from .normal_equations import weighted
 from .profile_scan import from_other_values, products_of
@@ -49,21 +49,21 @@ def width_of(term: Term) -> float:
     return float(term.values[onset_of(term.effect)[1]]) if term.effect.onset else 0.0
 
 
-def dated(bench: Bench, candidate: Candidate, chain: Chain, span: float) -> Candidate:
+def dated(context: SearchContext, candidate: Candidate, noise_model: NoiseModel, span: float) -> Candidate:
     """A candidate with the jump of its last term at the moment that leaves the least of the first record.
 
     While nothing moves, no gradient leads there. Only jumps of the outputs, whose free run costs next to nothing; other
     candidates come back as they are.
 
-    **Arguments:** `bench`; `candidate`; `chain` by which the residual is whitened; `span` [s]: how far from where it is
-    the moment is looked for, in steps of half of the term's width or a sample.
+    **Arguments:** `context`; `candidate`; `noise_model` by which the residual is whitened; `span` [s]: how far from
+    where it is the moment is looked for, in steps of half of the term's width or a sample.
 
     **Returns:** a `Candidate`; nothing but the moment differs.
     """
     term = candidate.terms[-1]
     if not isinstance(term.effect, AbstractOutputEffect) or not term.effect.onset:
         return candidate
-    data, at = bench.data[0], onset_of(term.effect)[0]
+    data, at = context.data[0], onset_of(term.effect)[0]
     step = max(width_of(term) / 2, data.sampling_time)
     count = int(span / step)
     end = data.samples * data.sampling_time
@@ -73,81 +73,83 @@ def dated(bench: Bench, candidate: Candidate, chain: Chain, span: float) -> Cand
         values = np.array(term.values, float)
         values[at] = time
         found.append(candidate.with_terms((*candidate.terms[:-1], Term(term.effect, term.place, values))))
-    left = [np.where(data.kept, data.y - bench.simulator.run(one, data), 0.0) for one in found]
-    costs = np.sum(weighted(chain, np.stack(left, axis=2), data.kept) ** 2, axis=0)
+    left = [np.where(data.kept, data.y - context.simulator.run(one, data), 0.0) for one in found]
+    costs = np.sum(weighted(noise_model, np.stack(left, axis=2), data.kept) ** 2, axis=0)
     return found[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
 
 
-def from_other_moments(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+def from_other_change_points(context: SearchContext, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
     """A refit whose last term is a force that begins at once, or a better one from another moment.
 
     What rings after the step draws a refit to the nearest moment at which it rings alike.
 
-    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law has no such moment; `max_steps`,
-    `tolerance`: of the refits.
+    **Arguments:** `context`; `fit`: carried to its end, returned as it is where its law has no such moment;
+    `max_steps`, `tolerance`: of the refits.
     """
     effect = fit.candidate.terms[-1].effect
-    at = _moment_of(effect)
+    at = _change_point_of(effect)
     if at is None:
         return fit
 
-    def chosen(fit: Refit, chain: Chain) -> list[np.ndarray]:
-        tried, shares, weights = _looked(bench, fit.candidate, chain, at)
+    def chosen(fit: Refit, noise_model: NoiseModel) -> list[np.ndarray]:
+        tried, shares, weights = _looked(context, fit.candidate, noise_model, at)
         k = int(np.argmax(shares))
         return [effect.bounded(effect.combine(tried[k], weights[k]))] if np.isfinite(shares[k]) else []
 
-    return from_other_values(bench, fit, chosen, max_steps=max_steps, tolerance=tolerance, worth=SURE)
+    return from_other_values(context, fit, chosen, max_steps=max_steps, tolerance=tolerance, worth=SURE)
 
 
-def moment_errors(bench: Bench, fit: Refit, index: int, errors: dict[int, float]) -> dict[int, float]:
+def change_point_errors(context: SearchContext, fit: Refit, index: int, errors: dict[int, float]) -> dict[int, float]:
     """Standard error of the moment at which the force of a term begins, by its position; empty for other terms.
 
     The likelihood has a kink at every sample and a hill for every period of what rings: its curvature says little, so
     that a third of the farthest distance at which it is what it is three standard errors from the best stands for one.
 
-    **Arguments:** `bench`; `fit`; `index` of the term; `errors`: standard errors by the curvature alone, by position.
+    **Arguments:** `context`; `fit`; `index` of the term; `errors`: standard errors by the curvature alone, by position.
 
     **Reference:** Siegmund, Int. Stat. Rev. 56 (1988) 31-48.
     """
     terms = fit.candidate.terms
-    at = _moment_of(terms[index].effect)
+    at = _change_point_of(terms[index].effect)
     local = errors.get(at, 0.0)
     if at is None or not local > 0:
         return {}
     last = fit.candidate.with_terms((*terms[:index], *terms[index + 1 :], terms[index]))
-    here, chain = float(terms[index].values[at]), chain_of(bench, fit)
+    here, noise_model = float(terms[index].values[at]), noise_model_of(context, fit)
     near = here + LOCAL * local * np.linspace(-1, 1, 2 * FINEST)
-    found = [_looked(bench, last, chain, at), _scored(bench, last, chain, at, lambda _: near)]
+    found = [_looked(context, last, noise_model, at), _scored(context, last, noise_model, at, lambda _: near)]
     times = np.concatenate([tried[:, at] for tried, *_ in found])
     left = np.log1p(-np.maximum(np.concatenate([shares for _, shares, _ in found]), 0.0))
-    rows = int(counted(bench.data[0].kept).sum())
+    rows = int(counted(context.data[0].kept).sum())
     alike = rows * (left - left.min()) < THREE**2
     return {at: max(local, float(np.max(np.abs(times[alike] - here))) / THREE)}
 
 
-def _moment_of(effect: AbstractEffect) -> int | None:
+def _change_point_of(effect: AbstractEffect) -> int | None:
     """Position of the moment at which a force begins; None for other laws."""
     return onset_of(effect)[0] if isinstance(effect, AbstractForceEffect) and effect.onset else None
 
 
-def _looked(bench: Bench, candidate: Candidate, chain: Chain, at: int) -> tuple[np.ndarray, np.ndarray, list]:
+def _looked(
+    context: SearchContext, candidate: Candidate, noise_model: NoiseModel, at: int
+) -> tuple[np.ndarray, np.ndarray, list]:
     """As `_scored`, all over the record, and more closely where most is explained."""
-    tried, shares, _ = _scored(bench, candidate, chain, at, lambda t: np.linspace(t[0], t[-1], len(t) * FINER))
+    tried, shares, _ = _scored(context, candidate, noise_model, at, lambda t: np.linspace(t[0], t[-1], len(t) * FINER))
     best, spacing = tried[np.argsort(-shares)[:CLOSER], at], tried[1, at] - tried[0, at]
     around = best[:, None] + spacing * np.linspace(-0.5, 0.5, FINEST)
-    return _scored(bench, candidate, chain, at, lambda _: around.ravel())
+    return _scored(context, candidate, noise_model, at, lambda _: around.ravel())
 
 
-def _scored(bench: Bench, candidate: Candidate, chain: Chain, at: int, moments):
+def _scored(context: SearchContext, candidate: Candidate, noise_model: NoiseModel, at: int, moments):
     """Values of the last term at many moments, what each explains, and the weights of its basis."""
 
     def rows(begun: np.ndarray) -> np.ndarray:
         times = moments(begun[:, at])
         values = np.tile(np.array(candidate.terms[-1].values, dtype=float), (len(times), 1))
-        values[:, at] = np.clip(times, 0.0, bench.data[0].samples * bench.data[0].sampling_time)
+        values[:, at] = np.clip(times, 0.0, context.data[0].samples * context.data[0].sampling_time)
         return values
 
-    products, tried = products_of(bench, candidate, chain, rows)
+    products, tried = products_of(context, candidate, noise_model, rows)
     columns = np.arange(len(products.X)).reshape(len(tried), -1)
     gains, weights = np.full(len(tried), -np.inf), [None] * len(tried)
     for k, own in enumerate(columns):

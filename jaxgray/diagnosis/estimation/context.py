@@ -13,7 +13,7 @@ from ...mechanics.effects.base import AbstractEffect
 from ...numerics.progress import AbstractProgress
 from ..model.candidate import Data
 from ..model.simulator import Simulator
-from ..noise.whitening import Chain, estimate_chain, white_chain
+from ..noise.whitening import NoiseModel, estimate_noise_model, white_noise_model
 from ..screening.linearization import sampled_plant
 from .gauss_newton import Refit
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Bench:
+class SearchContext:
     """What the loop works with.
 
     `simulator`; `data` of estimation and of validation; `catalogue`; `names` of inputs and outputs; `held`: entries
@@ -49,26 +49,26 @@ class Bench:
     white: bool = False
 
 
-_chains: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKeyDictionary()
+_noise_models: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKeyDictionary()
 
 
-def chain_of(bench: Bench, fit: Refit) -> Chain:
-    """The whitening chain of what a refit leaves of the first record; estimated once, however often it is asked for."""
-    if bench.white:
-        data = bench.data[0]
-        system = sampled_plant(bench.simulator.plant(fit.candidate), data, bench.simulator.setup.dofs)
-        return white_chain(fit.residual[0], data.kept, system)
-    data, known = bench.data[0], _chains.get(fit)
+def noise_model_of(context: SearchContext, fit: Refit) -> NoiseModel:
+    """The noise model of what a refit leaves of the first record; estimated once, however often it is asked for."""
+    if context.white:
+        data = context.data[0]
+        system = sampled_plant(context.simulator.plant(fit.candidate), data, context.simulator.setup.dofs)
+        return white_noise_model(fit.residual[0], data.kept, system)
+    data, known = context.data[0], _noise_models.get(fit)
     if known is None or known[0] is not data:
-        _chains[fit] = known = data, _estimated(bench, fit, data)
+        _noise_models[fit] = known = data, _estimated(context, fit, data)
     return known[1]
 
 
-def _estimated(bench: Bench, fit: Refit, data: Data) -> Chain:
-    plant = bench.simulator.plant(fit.candidate)
-    system = sampled_plant(plant, data, bench.simulator.setup.dofs)
+def _estimated(context: SearchContext, fit: Refit, data: Data) -> NoiseModel:
+    plant = context.simulator.plant(fit.candidate)
+    system = sampled_plant(plant, data, context.simulator.setup.dofs)
     force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
-    return estimate_chain(fit.residual[0], data.kept, system, force)
+    return estimate_noise_model(fit.residual[0], data.kept, system, force)
 
 
 @dataclasses.dataclass(frozen=True)

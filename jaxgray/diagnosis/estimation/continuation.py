@@ -3,15 +3,15 @@
 import numpy as np
 
 from ...mechanics.effects.base import AbstractForceEffect, Term
-from ..noise.whitening import Chain
+from ..noise.whitening import NoiseModel
 from ..screening.linearization import rows_of
-from .change_points import from_other_moments
-from .context import Bench, chain_of
+from .change_points import from_other_change_points
+from .context import SearchContext, noise_model_of
 from .element_sums import at_fewer_thresholds, from_other_thresholds
 from .gauss_newton import Refit, refit, with_states
 
 RENEWALS = 6
-"""How often the chain of a refit is renewed."""
+"""How often the noise model of a refit is renewed."""
 
 ROUGH = 0.3
 """Decrement, in units of the noise variance, at which a first refit is good enough to compare."""
@@ -23,35 +23,36 @@ TOLERABLE = 0.1
 """Error of the steps, relative to the noise, that is never left."""
 
 
-def pursued(bench: Bench, fit: Refit) -> Refit:
+def refit_to_convergence(context: SearchContext, fit: Refit) -> Refit:
     """A first refit carried to its end, whatever is noise at the forces told apart."""
-    fit = along_the_valley(bench, with_new_chains(bench, fit))
-    for begun_again in (from_other_thresholds, from_other_moments):
-        other = begun_again(bench, fit, max_steps=25, tolerance=ROUGH)
-        fit = fit if other is fit else with_new_chains(bench, other)
-    fit = at_fewer_thresholds(bench, fit, max_steps=25, tolerance=ROUGH)
-    return settled(bench, fit, chain_of(bench, fit))
+    fit = along_the_valley(context, with_new_noise_models(context, fit))
+    for begun_again in (from_other_thresholds, from_other_change_points):
+        other = begun_again(context, fit, max_steps=25, tolerance=ROUGH)
+        fit = fit if other is fit else with_new_noise_models(context, other)
+    fit = at_fewer_thresholds(context, fit, max_steps=25, tolerance=ROUGH)
+    return settled(context, fit, noise_model_of(context, fit))
 
 
-def with_new_chains(bench: Bench, fit: Refit) -> Refit:
-    """Refits under the chain of what is left, as long as less and less of it passes for noise at the forces."""
-    chain = chain_of(bench, fit)
+def with_new_noise_models(context: SearchContext, fit: Refit) -> Refit:
+    """Refits under the noise model of what is left, as long as less and less of it passes for noise at the forces."""
+    noise_model = noise_model_of(context, fit)
     for _ in range(RENEWALS):
-        again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=10)
+        again = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=10)
         if again is None:
             return fit
-        fit, ratio, chain = again, chain.ratio, chain_of(bench, again)
-        if not chain.ratio < ratio / 2:
+        fit, ratio, noise_model = again, noise_model.ratio, noise_model_of(context, again)
+        if not noise_model.ratio < ratio / 2:
             return fit
     return fit
 
 
-def settled(bench: Bench, fit: Refit, chain: Chain) -> Refit:
-    """A refit with first states that suit its free run, which a chain with noise at the forces does not determine."""
-    return fit if chain.ratio == 0.0 else with_states(bench.simulator, fit, bench.data)
+def settled(context: SearchContext, fit: Refit, noise_model: NoiseModel) -> Refit:
+    """A refit with first states that suit its free run, which a noise model with noise at the forces does not
+    determine."""
+    return fit if noise_model.ratio == 0.0 else with_states(context.simulator, fit, context.data)
 
 
-def along_the_valley(bench: Bench, fit: Refit) -> Refit:
+def along_the_valley(context: SearchContext, fit: Refit) -> Refit:
     """A refit that did not come to an end, carried on: the scale of its last term's shape is set to others, all else
     refitted, as long as that pays. A curved valley is too narrow to follow in straight steps."""
     places = [
@@ -61,9 +62,9 @@ def along_the_valley(bench: Bench, fit: Refit) -> Refit:
     ]
     if fit.converged or len(places) != 1:
         return fit
-    chain, j = chain_of(bench, fit), places[0]
-    options = {"held": bench.held, "max_steps": 8, "shapes_after": 4, "tolerance": ROUGH}
-    here = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=1)
+    noise_model, j = noise_model_of(context, fit), places[0]
+    options = {"held": context.held, "max_steps": 8, "shapes_after": 4, "tolerance": ROUGH}
+    here = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=1)
     if here is None:
         return fit
     for factor in (1.5, 1 / 1.5):
@@ -72,52 +73,52 @@ def along_the_valley(bench: Bench, fit: Refit) -> Refit:
             values[j] *= factor
             term = here.candidate.terms[-1]
             moved = here.candidate.with_terms((*here.candidate.terms[:-1], Term(term.effect, term.place, values)))
-            trial = refit(bench.simulator, moved, bench.data, chain, **options)
+            trial = refit(context.simulator, moved, context.data, noise_model, **options)
             if trial is None or not trial.cost < here.cost:
                 break
             here = trial
     return here
 
 
-def sharpened(bench: Bench, fit: Refit) -> Refit:
+def sharpened(context: SearchContext, fit: Refit) -> Refit:
     """A refit in shorter steps of its added forces, where the error of the steps could be told from noise and mending
     it pays.
 
     The simulator keeps the shorter steps.
     """
-    steps, before = bench.simulator.substeps, chain_of(bench, fit)
-    trial, error = in_short_steps(bench, fit)
-    if trial is fit or error > TOLERABLE or chain_of(bench, trial).cost < before.cost - 2.0:
+    steps, before = context.simulator.substeps, noise_model_of(context, fit)
+    trial, error = in_short_steps(context, fit)
+    if trial is fit or error > TOLERABLE or noise_model_of(context, trial).cost < before.cost - 2.0:
         return trial
-    bench.simulator.substeps = steps
+    context.simulator.substeps = steps
     return fit
 
 
-def in_short_steps(bench: Bench, fit: Refit) -> tuple[Refit, float]:
+def in_short_steps(context: SearchContext, fit: Refit) -> tuple[Refit, float]:
     """A refit in steps so short that their error cannot be told from noise, itself where it is so already, and the
     error of its own steps; the simulator takes the shorter steps from then on."""
-    simulator, steps = bench.simulator, bench.simulator.substeps
-    error = integration_error(bench, fit)
-    rows = rows_of(bench.data[0])
+    simulator, steps = context.simulator, context.simulator.substeps
+    error = integration_error(context, fit)
+    rows = rows_of(context.data[0])
     if error**2 * rows < 1.0 or steps >= MOST_STEPS:
         return fit, error
     simulator.substeps = min(MOST_STEPS, steps * 2 ** int(np.ceil(np.log2(2 * error * np.sqrt(rows)))))
-    return at_the_same_steps(bench, fit), error
+    return at_the_same_steps(context, fit), error
 
 
-def at_the_same_steps(bench: Bench, fit: Refit) -> Refit:
+def at_the_same_steps(context: SearchContext, fit: Refit) -> Refit:
     """A refit again, in the steps that the simulator takes by now."""
-    chain = chain_of(bench, fit)
-    again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=10)
-    return fit if again is None else settled(bench, again, chain)
+    noise_model = noise_model_of(context, fit)
+    again = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=10)
+    return fit if again is None else settled(context, again, noise_model)
 
 
-def integration_error(bench: Bench, fit: Refit) -> float:
+def integration_error(context: SearchContext, fit: Refit) -> float:
     """How far the free run on the first record moves with steps half as long, relative to what the fit leaves: root
     mean square over the outputs."""
     if not any(isinstance(term.effect, AbstractForceEffect) for term in fit.candidate.terms):
         return 0.0
-    data, simulator, steps = bench.data[0], bench.simulator, bench.simulator.substeps
+    data, simulator, steps = context.data[0], context.simulator, context.simulator.substeps
     simulator.substeps = 2 * steps
     finer = simulator.run(fit.candidate, data)
     simulator.substeps = steps

@@ -14,8 +14,8 @@ import numpy as np
 import scipy.special
 
 from ...mechanics.effects.base import AbstractEffect, Term
-from ..noise.whitening import Chain
-from .context import Bench, chain_of
+from ..noise.whitening import NoiseModel
+from .context import SearchContext, noise_model_of
 from .gauss_newton import Refit, refit
 from .profile_scan import from_other_values, products_of, something_left
 from .significance import at_bound
@@ -66,51 +66,51 @@ def at_one_threshold(levels) -> list[list[int]]:
     return groups
 
 
-def from_other_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+def from_other_thresholds(context: SearchContext, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
     """A refit whose last term is a sum of elements, or a better one from other thresholds.
 
-    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law is no such sum or leaves nothing
-    but white noise; `max_steps`, `tolerance`: of the refits.
+    **Arguments:** `context`; `fit`: carried to its end, returned as it is where its law is no such sum or leaves
+    nothing but white noise; `max_steps`, `tolerance`: of the refits.
     """
     elements = elements_of(fit.candidate.terms[-1].effect)
-    if not elements or not something_left(chain_of(bench, fit)):
+    if not elements or not something_left(noise_model_of(context, fit)):
         return fit
 
-    def chosen(fit: Refit, chain: Chain) -> list[np.ndarray]:
-        return _chosen(bench, fit, chain, elements)
+    def chosen(fit: Refit, noise_model: NoiseModel) -> list[np.ndarray]:
+        return _chosen(context, fit, noise_model, elements)
 
-    return from_other_values(bench, fit, chosen, max_steps=max_steps, tolerance=tolerance)
+    return from_other_values(context, fit, chosen, max_steps=max_steps, tolerance=tolerance)
 
 
-def at_fewer_thresholds(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+def at_fewer_thresholds(context: SearchContext, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
     """A refit whose last term is a sum of elements, with as few different thresholds as explain the record as well
     (likelihood ratio).
 
-    **Arguments:** `bench`; `fit`: carried to its end, returned as it is where its law is no such sum, where all of its
-    thresholds pay, or where it leaves more than white noise; `max_steps`, `tolerance`: of the refits.
+    **Arguments:** `context`; `fit`: carried to its end, returned as it is where its law is no such sum, where all of
+    its thresholds pay, or where it leaves more than white noise; `max_steps`, `tolerance`: of the refits.
     """
     term = fit.candidate.terms[-1]
     elements = elements_of(term.effect)
-    chain = chain_of(bench, fit) if elements else None
+    noise_model = noise_model_of(context, fit) if elements else None
     # What else is missing could pass for noise that hides a threshold. At a bound an element is out already.
-    if chain is None or something_left(chain) or at_bound(fit, len(fit.candidate.terms) - 1) is not None:
+    if noise_model is None or something_left(noise_model) or at_bound(fit, len(fit.candidate.terms) - 1) is not None:
         return fit
-    options = {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
-    whole = refit(bench.simulator, fit.candidate, bench.data, chain, **options)
+    options = {"held": context.held, "max_steps": max_steps, "tolerance": tolerance}
+    whole = refit(context.simulator, fit.candidate, context.data, noise_model, **options)
     for distinct in range(1, len(elements)) if whole is not None else ():
         most = scipy.special.chdtri(2 * (len(elements) - distinct), BY_CHANCE)
-        for values in _chosen(bench, fit, chain, elements, distinct)[:1]:
+        for values in _chosen(context, fit, noise_model, elements, distinct)[:1]:
             terms = (*fit.candidate.terms[:-1], Term(term.effect, term.place, values))
-            few = refit(bench.simulator, fit.candidate.with_terms(terms), bench.data, chain, **options)
+            few = refit(context.simulator, fit.candidate.with_terms(terms), context.data, noise_model, **options)
             if few is None or not few.count * np.log(few.cost / whole.cost) < most:
                 continue
-            few = _at_one(bench, few, chain, elements[distinct - 1 :])
+            few = _at_one(context, few, noise_model, elements[distinct - 1 :])
             if few is not None and few.count * np.log(few.cost / whole.cost) < most:
                 return few
     return fit
 
 
-def at_fewer_everywhere(bench: Bench, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+def at_fewer_everywhere(context: SearchContext, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
     """The same for every term before the last: while others were missing, what they left hid which thresholds pay.
 
     **Arguments:** as of `at_fewer_thresholds`.
@@ -119,23 +119,27 @@ def at_fewer_everywhere(bench: Bench, fit: Refit, *, max_steps: int, tolerance: 
         if not elements_of(term.effect):
             continue
         terms = fit.candidate.terms
-        last = _in_order(bench, fit, (*terms[:k], *terms[k + 1 :], term))
-        few = None if last is None else at_fewer_thresholds(bench, last, max_steps=max_steps, tolerance=tolerance)
+        last = _in_order(context, fit, (*terms[:k], *terms[k + 1 :], term))
+        few = None if last is None else at_fewer_thresholds(context, last, max_steps=max_steps, tolerance=tolerance)
         if few is None or few is last:
             continue
         *others, term = few.candidate.terms
-        back = _in_order(bench, few, (*others[:k], term, *others[k:]))
+        back = _in_order(context, few, (*others[:k], term, *others[k:]))
         fit = fit if back is None else back
     return fit
 
 
-def _in_order(bench: Bench, fit: Refit, terms: tuple[Term, ...]) -> Refit | None:
+def _in_order(context: SearchContext, fit: Refit, terms: tuple[Term, ...]) -> Refit | None:
     """A refit with its terms in another order."""
     candidate = fit.candidate.with_terms(terms)
-    return refit(bench.simulator, candidate, bench.data, chain_of(bench, fit), held=bench.held, max_steps=0)
+    return refit(
+        context.simulator, candidate, context.data, noise_model_of(context, fit), held=context.held, max_steps=0
+    )
 
 
-def _at_one(bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, int]]) -> Refit | None:
+def _at_one(
+    context: SearchContext, fit: Refit, noise_model: NoiseModel, elements: list[tuple[int, int]]
+) -> Refit | None:
     """A refit with some thresholds that noise drew apart at their mean again, or as it is where they are the same; None
     where that cannot be simulated."""
     term = fit.candidate.terms[-1]
@@ -146,11 +150,17 @@ def _at_one(bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, in
     values[levels], values[sizes] = np.mean(values[levels]), np.mean(values[sizes])
     candidate = fit.candidate.with_terms((*fit.candidate.terms[:-1], Term(term.effect, term.place, values)))
     # Short enough for them to stay together.
-    return refit(bench.simulator, candidate, bench.data, chain, held=bench.held, max_steps=1, shapes_after=1)
+    return refit(
+        context.simulator, candidate, context.data, noise_model, held=context.held, max_steps=1, shapes_after=1
+    )
 
 
 def _chosen(
-    bench: Bench, fit: Refit, chain: Chain, elements: list[tuple[int, int]], distinct: int | None = None
+    context: SearchContext,
+    fit: Refit,
+    noise_model: NoiseModel,
+    elements: list[tuple[int, int]],
+    distinct: int | None = None,
 ) -> list[np.ndarray]:
     """Values of the last term for the sets of thresholds that explain most, best first; so many of them `distinct`
     (default all), the last of these shared by the rest of the elements in equal parts."""
@@ -166,7 +176,7 @@ def _chosen(
             values[:, size], values[:, threshold] = 1.0, level
         return values
 
-    products, tried = products_of(bench, fit.candidate, chain, rows)
+    products, tried = products_of(context, fit.candidate, noise_model, rows)
     levels = tried[:, [threshold for _, threshold in elements]].ravel()
     everything = products.among(np.arange(len(levels)))
     seen = np.flatnonzero(everything.visible(np.arange(len(levels))) & products.finite)

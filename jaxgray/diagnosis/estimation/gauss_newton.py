@@ -15,7 +15,7 @@ from ...numerics.positive import ClarabelSolver
 from ..model.candidate import Candidate, Data, Setup
 from ..model.parameter_vector import Layout, state_step
 from ..model.simulator import Simulator
-from ..noise.whitening import Chain
+from ..noise.whitening import NoiseModel
 from .normal_equations import Equations
 
 DECREMENT = 1e-2
@@ -114,7 +114,7 @@ def refit(
     simulator: Simulator,
     candidate: Candidate,
     data: list[Data],
-    chain: Chain,
+    noise_model: NoiseModel,
     *,
     held=None,
     max_steps: int = 15,
@@ -123,12 +123,12 @@ def refit(
     shapes_after: int = 0,
     last_after: int = 0,
 ) -> Refit | None:
-    """Refit a candidate with a given whitening chain.
+    """Refit a candidate with a given noise model.
 
-    **Arguments:** `simulator`; `candidate` to start from; `data`: the records; `chain`; `held`: parameters that do
-    not move (all entries of the user's own model), default those of the setup; `max_steps`; `tolerance`: stop when a
-    step would lower the sum of squares by less, in units of the noise variance; `abandon`: sum of squares above
-    which, from the second step on, a fit that falls slowly is given up unless its next step promises to pass below;
+    **Arguments:** `simulator`; `candidate` to start from; `data`: the records; `noise_model`; `held`: parameters that
+    do not move (all entries of the user's own model), default those of the setup; `max_steps`; `tolerance`: stop when a
+    step would lower the sum of squares by less, in units of the noise variance; `abandon`: sum of squares above which,
+    from the second step on, a fit that falls slowly is given up unless its next step promises to pass below;
     `shapes_after`: steps before the shape of the last term moves, not only its amplitudes; `last_after`: steps before
     anything of it moves.
 
@@ -141,7 +141,7 @@ def refit(
     masks = fixed | layout.last(candidate), fixed | layout.shape_of_last(candidate), fixed
     step = _Step(setup, layout, fixed)
     theta = layout.vector(candidate)
-    equations = Equations(simulator, data, chain, layout)
+    equations = Equations(simulator, data, noise_model, layout)
     now = equations(candidate)
     if now is None:
         return None
@@ -221,7 +221,7 @@ def _along(change: np.ndarray, correction: np.ndarray, H: np.ndarray) -> list[np
 def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: int = 2) -> Refit:
     """A refit with the first states that bring the free run itself nearest to the records.
 
-    Under a chain with noise at the forces the innovations filter forgets the first state, which then is not
+    Under a noise model with noise at the forces the innovations filter forgets the first state, which then is not
     determined by the refit; the free run needs one all the same.
     """
     candidate = fit.candidate

@@ -11,13 +11,13 @@ from ...mechanics.extended import arm_of
 from ...numerics.side_by_side import side_by_side
 from ..acceptance import at_its_bound
 from ..findings import NOT_SIMULATED, Reason, Refusal, Rejected
-from ..noise.whitening import Chain
+from ..noise.whitening import NoiseModel
 from ..screening.linearization import Stage, rows_of
 from ..screening.score_test import Score
-from ..settings import CONTACT, HOPELESS, STANDING_ALIKE
+from ..settings import CONTACT, LOOK_ALIKE_DELTA_BIC, MAX_CRITERION_GAP
 from .change_points import dated, softened, width_of
-from .context import Bench, chain_of
-from .continuation import ROUGH, at_the_same_steps, pursued, sharpened
+from .context import SearchContext, noise_model_of
+from .continuation import ROUGH, at_the_same_steps, refit_to_convergence, sharpened
 from .gauss_newton import Refit, refit
 from .normal_equations import weighted
 from .significance import at_bound, evidence
@@ -34,12 +34,12 @@ LITTLE = 0.05
 
 @dataclass(frozen=True)
 class Attempt:
-    """A candidate refitted: its `score`, `fit` and own `chain`; `criterion` with its `penalty`, and `delta_bic`, under
-    the best one's chain."""
+    """A candidate refitted: its `score`, `fit` and own `noise_model`; `criterion` with its `penalty`, and `delta_bic`,
+    under the best one's noise model."""
 
     score: Score
     fit: Refit
-    chain: Chain
+    noise_model: NoiseModel
     criterion: float = np.inf
     penalty: float = 0.0
     delta_bic: float = -np.inf
@@ -51,13 +51,15 @@ class Attempt:
 
 
 def attempts_of(
-    bench: Bench, stage: Stage, listed: list[list[Score]], chain: Chain, rejected: list[Rejected]
+    context: SearchContext, stage: Stage, listed: list[list[Score]], noise_model: NoiseModel, rejected: list[Rejected]
 ) -> dict[tuple[str, str], Attempt]:
     """Refits of the listed candidates; only those that still can be the best are carried to their end. Laws that
     contain a simpler one begin where that ended."""
     names = {_name(scores[0]) for scores in listed}
     left = {_name(scores[0]): scores for scores in listed if names & set(_simpler(scores))}
-    fits = _outright(bench, stage, [scores for scores in listed if _name(scores[0]) not in left], chain, rejected)
+    fits = _outright(
+        context, stage, [scores for scores in listed if _name(scores[0]) not in left], noise_model, rejected
+    )
     bases: dict[tuple[str, str], _Base] = {}
     while left:
         # Beside one another, but for laws that go on from one of the others.
@@ -65,19 +67,19 @@ def attempts_of(
         left = {name: scores for name, scores in left.items() if name not in now}
         base_of = {name: next((one for one in _simpler(scores) if one in fits), None) for name, scores in now.items()}
         for base in set(base_of.values()) - {None, *bases}:
-            bases[base] = _Base.of(bench, *fits[base])
+            bases[base] = _Base.of(context, *fits[base])
         for name in (name for name, base in base_of.items() if base is None):
-            fits |= _outright(bench, stage, [now[name]], chain, rejected)
+            fits |= _outright(context, stage, [now[name]], noise_model, rejected)
         beyond = {name: (bases[base], now[name]) for name, base in base_of.items() if base is not None}
-        for name, end in zip(beyond, side_by_side(lambda one: _beyond(bench, *one), beyond.values())):
+        for name, end in zip(beyond, side_by_side(lambda one: _beyond(context, *one), beyond.values())):
             if isinstance(end, Rejected):
                 rejected.append(end)
             else:
                 fits[name] = end
     attempts: dict[tuple[str, str], Attempt] = {}
-    for score, fit in _followed(bench, fits, rejected).values():
-        attempt = by_contact(bench, Attempt(score, fit, chain_of(bench, fit)), stage)
-        if attempt.name not in attempts or attempt.chain.cost < attempts[attempt.name].chain.cost:
+    for score, fit in _followed(context, fits, rejected).values():
+        attempt = by_contact(context, Attempt(score, fit, noise_model_of(context, fit)), stage)
+        if attempt.name not in attempts or attempt.noise_model.cost < attempts[attempt.name].noise_model.cost:
             attempts[attempt.name] = attempt
     return attempts
 
@@ -97,9 +99,9 @@ def dominated(behind: float) -> Refusal:
     return Refusal(Reason.DOMINATED, f"explains less than the best candidate of its round (by {behind:.0f})")
 
 
-def criterion_of(bench: Bench, score: Score, fit: Refit) -> float:
-    """BIC of a refit under the chain that it was found under: N ln cost, and what its shape costs."""
-    return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(bench, score)
+def criterion_of(context: SearchContext, score: Score, fit: Refit) -> float:
+    """BIC of a refit under the noise model that it was found under: N ln cost, and what its shape costs."""
+    return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(context, score)
 
 
 def unresolved(fit: Refit, score: Score) -> str | None:
@@ -110,23 +112,24 @@ def unresolved(fit: Refit, score: Score) -> str | None:
 
 
 def _outright(
-    bench: Bench, stage: Stage, listed: list[list[Score]], chain: Chain, rejected: list[Rejected]
+    context: SearchContext, stage: Stage, listed: list[list[Score]], noise_model: NoiseModel, rejected: list[Rejected]
 ) -> dict[tuple[str, str], tuple[Score, Refit]]:
-    """Refits from the model without the candidate, under one chain first, then those that are left to their end."""
+    """Refits from the model without the candidate, under one noise model first, then those that are left to their
+    end."""
     rough: dict[tuple[str, str], tuple[float, Score, Refit]] = {}
     starts, best, unlike = [score for scores in listed for score in scores], np.inf, {}
 
     def first(k):
         effect, place = _name(starts[k])
-        bench.progress.stage(f"refitting {effect} at {place}", fraction=k / len(starts))
-        return first_fit(bench, stage, starts[k], chain, best)
+        context.progress.stage(f"refitting {effect} at {place}", fraction=k / len(starts))
+        return first_fit(context, stage, starts[k], noise_model, best)
 
     for begin in range(0, len(starts), TOGETHER):
         together = range(len(starts))[begin : begin + TOGETHER]
         for score, fit in zip(starts[begin:], side_by_side(first, together)):
             if fit is None:
                 continue
-            name, criterion = _name(score), criterion_of(bench, score, fit)
+            name, criterion = _name(score), criterion_of(context, score, fit)
             if (why := unresolved(fit, score)) is not None:
                 # Another law under this one's name, which others must not be measured by.
                 unlike[name] = why
@@ -140,7 +143,7 @@ def _outright(
             rejected.append(Rejected.of(name, scores[0].delta_bic, why))
     going: dict[tuple[str, str], tuple[Score, Refit]] = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
-        if criterion > best + HOPELESS:
+        if criterion > best + MAX_CRITERION_GAP:
             rejected.append(Rejected.of(name, score.delta_bic, dominated(criterion - best)))
             continue
         bound = at_bound(fit, len(fit.candidate.terms) - 1)
@@ -150,39 +153,43 @@ def _outright(
         going[name] = score, fit
 
     def at_end(name):
-        bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
-        return going[name][0], pursued(bench, going[name][1])
+        context.progress.stage(f"pursuing {name[0]} at {name[1]}")
+        return going[name][0], refit_to_convergence(context, going[name][1])
 
     return dict(zip(going, side_by_side(at_end, going)))
 
 
 @dataclass(frozen=True)
 class _Base:
-    """The refit of a law that others contain, under the chain that they are refitted with; `most`: the criterion from
-    which one of them pays too little."""
+    """The refit of a law that others contain, under the noise model that they are refitted with; `most`: the criterion
+    from which one of them pays too little."""
 
     score: Score
     fit: Refit
-    chain: Chain
+    noise_model: NoiseModel
     most: float
 
     @classmethod
-    def of(cls, bench: Bench, score: Score, fit: Refit) -> "_Base":
-        chain = chain_of(bench, fit)
+    def of(cls, context: SearchContext, score: Score, fit: Refit) -> "_Base":
+        noise_model = noise_model_of(context, fit)
         # With the same samples counted as what is compared with it.
-        again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=3, tolerance=ROUGH)
+        again = refit(
+            context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=3, tolerance=ROUGH
+        )
         fit = fit if again is None else again
         # Noise at the forces may hide what a law is worth.
-        most = criterion_of(bench, score, fit) + (STANDING_ALIKE if chain.ratio == 0.0 else HOPELESS)
-        return cls(score, fit, chain, most)
+        most = criterion_of(context, score, fit) + (
+            LOOK_ALIKE_DELTA_BIC if noise_model.ratio == 0.0 else MAX_CRITERION_GAP
+        )
+        return cls(score, fit, noise_model, most)
 
 
-def _beyond(bench: Bench, base: _Base, scores: list[Score]) -> tuple[Score, Refit] | Rejected:
+def _beyond(context: SearchContext, base: _Base, scores: list[Score]) -> tuple[Score, Refit] | Rejected:
     """The best refit of a law from that of a simpler one which it contains, or why there is none: its further
     parameters pay too little."""
-    simple, chain, most = base.fit, base.chain, base.most
+    simple, noise_model, most = base.fit, base.noise_model, base.most
     name = _name(scores[0])
-    bench.progress.stage(f"refitting {name[0]} at {name[1]}")
+    context.progress.stage(f"refitting {name[0]} at {name[1]}")
     last = simple.candidate.terms[-1]
     known = dict(zip((p.name for p in last.effect.parameters), last.values))
     found = []
@@ -191,57 +198,57 @@ def _beyond(bench: Bench, base: _Base, scores: list[Score]) -> tuple[Score, Refi
         term = Term(shape.effect, shape.place, shape.effect.widened(np.array(shape.values, dtype=float), known))
         begin = simple.candidate.with_terms((*simple.candidate.terms[:-1], term))
         with np.errstate(over="ignore"):
-            abandon = np.exp((most - _penalty(bench, score)) / simple.count)
-        options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
-        fit = refit(bench.simulator, begin, bench.data, chain, **options)
+            abandon = np.exp((most - _penalty(context, score)) / simple.count)
+        options = {"held": context.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
+        fit = refit(context.simulator, begin, context.data, noise_model, **options)
         if fit is not None:
-            found.append((criterion_of(bench, score, fit), score, fit))
+            found.append((criterion_of(context, score, fit), score, fit))
     if not found:
         return Rejected.of(name, scores[0].delta_bic, NOT_SIMULATED)
     if min(criterion for criterion, *_ in found) > most:
         words = f"explains no more than {base.score.shape.effect.id}, which it contains"
         return Rejected.of(name, scores[0].delta_bic, Refusal(Reason.NEEDLESS, words))
-    bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
+    context.progress.stage(f"pursuing {name[0]} at {name[1]}")
     # A start that is ahead after a few steps need not lead to the best end.
-    ends = [(score, pursued(bench, fit)) for criterion, score, fit in found if criterion <= most]
-    return min(ends, key=lambda end: chain_of(bench, end[1]).cost + _penalty(bench, end[0]))
+    ends = [(score, refit_to_convergence(context, fit)) for criterion, score, fit in found if criterion <= most]
+    return min(ends, key=lambda end: noise_model_of(context, end[1]).cost + _penalty(context, end[0]))
 
 
 def _followed(
-    bench: Bench, fits: dict[tuple[str, str], tuple[Score, Refit]], rejected: list[Rejected]
+    context: SearchContext, fits: dict[tuple[str, str], tuple[Score, Refit]], rejected: list[Rejected]
 ) -> dict[tuple[str, str], tuple[Score, Refit]]:
     """The refits with their forces followed in steps as short as the best of them needs; all in the same, since what
     shorter steps mend is not a law's merit."""
     if not fits:
         return fits
-    costs = {name: chain_of(bench, fit).cost + _penalty(bench, score) for name, (score, fit) in fits.items()}
-    best, steps = min(costs, key=costs.get), bench.simulator.substeps
-    sharp = sharpened(bench, fits[best][1])
-    if bench.simulator.substeps == steps:
+    costs = {name: noise_model_of(context, fit).cost + _penalty(context, score) for name, (score, fit) in fits.items()}
+    best, steps = min(costs, key=costs.get), context.simulator.substeps
+    sharp = sharpened(context, fits[best][1])
+    if context.simulator.substeps == steps:
         return fits
-    near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < HOPELESS}
+    near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < MAX_CRITERION_GAP}
     for name, (score, _) in fits.items():
         if name not in near:
             rejected.append(Rejected.of(name, score.delta_bic, dominated(costs[name] - costs[best])))
 
     def again(name):
-        return sharp if name == best else at_the_same_steps(bench, near[name])
+        return sharp if name == best else at_the_same_steps(context, near[name])
 
     return {name: (fits[name][0], fit) for name, fit in zip(near, side_by_side(again, near))}
 
 
-def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
+def by_contact(context: SearchContext, attempt: Attempt, stage: Stage) -> Attempt:
     """The attempt under the name that its contact gives it: backlash where the gap is left in more than half of the
     samples, an end stop where in fewer; the law is the same. Under its own where the other is not looked for."""
     term = attempt.fit.candidate.terms[-1]
     if term.effect.id not in CONTACT:
         return attempt
     arm = np.asarray(arm_of(term, stage.plant))
-    data = bench.data[0]
-    q = bench.simulator.motion(attempt.fit.candidate, data)[0][: data.samples, : len(arm)]
+    data = context.data[0]
+    q = context.simulator.motion(attempt.fit.candidate, data)[0][: data.samples, : len(arm)]
     contact = np.mean(np.abs(q @ arm) > float(term.values[1]))
     effect = DeadZoneStiffness() if contact > 0.5 else EndStop()
-    if effect.id == term.effect.id or effect.id not in {one.id for one in bench.catalogue}:
+    if effect.id == term.effect.id or effect.id not in {one.id for one in context.catalogue}:
         return attempt
     renamed = Term(effect, term.place, term.values)
     candidate = attempt.fit.candidate
@@ -250,19 +257,19 @@ def by_contact(bench: Bench, attempt: Attempt, stage: Stage) -> Attempt:
     return dataclasses.replace(attempt, fit=fit, score=dataclasses.replace(attempt.score, shape=shape))
 
 
-def _penalty(bench: Bench, score: Score) -> float:
-    return score.shape.free * np.log(rows_of(bench.data[0])) + 2 * np.log(score.shape.tried)
+def _penalty(context: SearchContext, score: Score) -> float:
+    return score.shape.free * np.log(rows_of(context.data[0])) + 2 * np.log(score.shape.tried)
 
 
-def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: float) -> Refit | None:
-    """Refit the model with one more term under a given chain; given up early where it is far behind the best."""
+def first_fit(context: SearchContext, stage: Stage, score: Score, noise_model: NoiseModel, best: float) -> Refit | None:
+    """Refit the model with one more term under a given noise model; given up early where it is far behind the best."""
     fit = None
-    nothing = float(np.sum(weighted(chain, stage.e[:, :, None], bench.data[0].kept) ** 2))
+    nothing = float(np.sum(weighted(noise_model, stage.e[:, :, None], context.data[0].kept) ** 2))
     with np.errstate(over="ignore"):
-        abandon = np.exp((best + 2 * HOPELESS - _penalty(bench, score)) / rows_of(bench.data[0]))
+        abandon = np.exp((best + 2 * MAX_CRITERION_GAP - _penalty(context, score)) / rows_of(context.data[0]))
     for term in softened(score.shape.term(score.weights), score.shape.scales):
         if fit is not None:
-            if fit.count * np.log(max(fit.cost, 1e-300)) > best + 10 * HOPELESS:
+            if fit.count * np.log(max(fit.cost, 1e-300)) > best + 10 * MAX_CRITERION_GAP:
                 return fit
             # What was found so far, with the edge of the step made sharper.
             fixed = [j for j, p in enumerate(term.effect.parameters) if not p.counts]
@@ -273,9 +280,9 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
         terms = (*stage.candidate.terms, term) if fit is None else (*fit.candidate.terms[:-1], term)
         begin = begin.with_terms(terms)
         if fit is not None:
-            begin = dated(bench, begin, chain, width_of(fit.candidate.terms[-1]))
-        options = {"held": bench.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
-        begun = refit(bench.simulator, begin, bench.data, chain, **options)
+            begin = dated(context, begin, noise_model, width_of(fit.candidate.terms[-1]))
+        options = {"held": context.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
+        begun = refit(context.simulator, begin, context.data, noise_model, **options)
         if begun is not None:
             # Another start is worth its time only while it promises more than this one gave.
             options["abandon"] = min(abandon, begun.cost)
@@ -285,14 +292,19 @@ def first_fit(bench: Bench, stage: Stage, score: Score, chain: Chain, best: floa
             little = Term(term.effect, term.place, np.where(_amplitudes(term), little.values, term.values))
             terms = (*stage.candidate.terms, little)
             again = refit(
-                bench.simulator, stage.candidate.with_terms(terms), bench.data, chain, shapes_after=2, **options
+                context.simulator,
+                stage.candidate.with_terms(terms),
+                context.data,
+                noise_model,
+                shapes_after=2,
+                **options,
             )
             if begun is None or (again is not None and again.cost < begun.cost):
                 begun = again
             if begun is not None and not begun.converged:
                 options["abandon"] = min(abandon, begun.cost)
                 # Or from all of it, the linear model giving back what it took before the term itself moves.
-                again = refit(bench.simulator, begin, bench.data, chain, last_after=HELD_BACK, **options)
+                again = refit(context.simulator, begin, context.data, noise_model, last_after=HELD_BACK, **options)
                 begun = again if again is not None and again.cost < begun.cost else begun
         fit = begun
         if fit is None:
@@ -304,27 +316,27 @@ def _amplitudes(term: Term) -> np.ndarray:
     return np.array([parameter.amplitude for parameter in term.effect.parameters])
 
 
-def compared(bench: Bench, stage: Stage, attempts: list[Attempt]) -> list[Attempt]:
-    """Attempts by their criterion under the chain of the best, best first."""
+def compared(context: SearchContext, stage: Stage, attempts: list[Attempt]) -> list[Attempt]:
+    """Attempts by their criterion under the noise model of the best, best first."""
     if not attempts:
         return []
 
-    own = [a.chain.cost + _penalty(bench, a.score) for a in attempts]
-    chain = attempts[int(np.argmin(own))].chain
-    data = bench.data[0]
-    base, rows = evidence(stage.e, stage.J, data, chain)
+    own = [a.noise_model.cost + _penalty(context, a.score) for a in attempts]
+    noise_model = attempts[int(np.argmin(own))].noise_model
+    data = context.data[0]
+    base, rows = evidence(stage.e, stage.J, data, noise_model)
     result = []
     for a in attempts:
-        cost, _ = evidence(*moving(bench, a.fit), data, chain)
-        penalty = _penalty(bench, a.score)
+        cost, _ = evidence(*moving(context, a.fit), data, noise_model)
+        penalty = _penalty(context, a.score)
         criterion = rows * np.log(max(cost, 1e-300)) + penalty
         delta = rows * np.log(base) - criterion
         result.append(dataclasses.replace(a, criterion=float(criterion), penalty=penalty, delta_bic=float(delta)))
     return sorted(result, key=lambda a: a.criterion)
 
 
-def moving(bench: Bench, fit: Refit) -> tuple[np.ndarray, np.ndarray]:
+def moving(context: SearchContext, fit: Refit) -> tuple[np.ndarray, np.ndarray]:
     """Residual of a refit on the first record, and the columns of its Jacobian for what may move."""
     J = fit.jacobian[0]
-    kept = np.concatenate([~bench.held, np.ones(J.shape[2] - len(bench.held), bool)])
+    kept = np.concatenate([~context.held, np.ones(J.shape[2] - len(context.held), bool)])
     return fit.residual[0], J[:, :, kept]

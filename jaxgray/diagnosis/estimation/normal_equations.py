@@ -6,7 +6,7 @@ import numpy as np
 
 from ..model.candidate import Candidate, Data
 from ..model.simulator import Simulator
-from ..noise.whitening import SETTLING, Chain, counted
+from ..noise.whitening import SETTLING, NoiseModel, counted
 
 if TYPE_CHECKING:
     from ..model.parameter_vector import Layout
@@ -19,9 +19,9 @@ LARGEST = 1e50
 """Whitened values from which a residual or a sensitivity has no products to speak of."""
 
 
-def weighted(chain: Chain, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
+def weighted(noise_model: NoiseModel, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """Whitened columns of the samples that count, as a matrix samples·outputs × columns."""
-    return chain.whiten_rows(np.moveaxis(X, 2, 0), kept, counted(kept)).reshape(X.shape[2], -1).T
+    return noise_model.whiten_rows(np.moveaxis(X, 2, 0), kept, counted(kept)).reshape(X.shape[2], -1).T
 
 
 class Equations:
@@ -29,12 +29,12 @@ class Equations:
     residuals e (samples × outputs) and Jacobians J of the outputs (by that record's parameters) of every record as they
     are; None where it overflows.
 
-    The chain does not count the first samples, of which it has no past, but these tell most of the first state, and
-    after a rest in dry friction all of it: they enter as they are, in units of the chain's level.
+    The noise model does not count the first samples, of which it has no past, but these tell most of the first state,
+    and after a rest in dry friction all of it: they enter as they are, in units of the noise model's level.
     """
 
-    def __init__(self, simulator: Simulator, data: list[Data], chain: Chain, layout: "Layout"):
-        self.simulator, self.data, self.chain, self.layout = simulator, data, chain, layout
+    def __init__(self, simulator: Simulator, data: list[Data], noise_model: NoiseModel, layout: "Layout"):
+        self.simulator, self.data, self.noise_model, self.layout = simulator, data, noise_model, layout
 
     def __call__(self, candidate: Candidate):
         runs = [self.simulator.run_and_jacobian(candidate, d, k) for k, d in enumerate(self.data)]
@@ -60,8 +60,8 @@ class Equations:
     def _rows(self, J: np.ndarray, e: np.ndarray, data: Data) -> np.ndarray:
         """Whitened columns of a Jacobian and a residual, the first samples as they are."""
         both, head = np.concatenate([J, e[:, :, None]], axis=2), self._head(data)
-        first = np.where(data.kept[:head, :, None], both[:head] / self.chain.level[:, None], 0.0)
-        return np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.chain, both, data.kept)])
+        first = np.where(data.kept[:head, :, None], both[:head] / self.noise_model.level[:, None], 0.0)
+        return np.concatenate([first.reshape(-1, both.shape[2]), weighted(self.noise_model, both, data.kept)])
 
     def bend(self, theta: np.ndarray, candidate: Candidate, change: np.ndarray, now) -> np.ndarray | None:
         """Minus half of Jᵀ times the second derivative of the outputs along a step, by a finite difference.

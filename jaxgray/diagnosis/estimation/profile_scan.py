@@ -12,13 +12,13 @@ import numpy as np
 from ...mechanics.effects.base import Term
 from ...numerics.side_by_side import side_by_side
 from ..model.candidate import Candidate
-from ..noise.whitening import Chain, white_chain
+from ..noise.whitening import NoiseModel, white_noise_model
 from ..screening.features import features
 from ..screening.linearization import sampled_plant, stage_of
 from ..screening.projections import Products
 from ..screening.scales import scales_at
 from ..screening.spectral_lines import lines_of
-from .context import Bench, chain_of
+from .context import SearchContext, noise_model_of
 from .gauss_newton import Refit, refit
 
 TURNS = 3
@@ -31,15 +31,15 @@ WORTH = 10.0
 """Difference in N ln cost from which another refit is the better one."""
 
 
-def something_left(chain: Chain) -> bool:
+def something_left(noise_model: NoiseModel) -> bool:
     """Whether a refit leaves more than white noise."""
-    return chain.ratio > 0.0 or bool(np.any(np.diag(chain.lower) < COLOURED * chain.level))
+    return noise_model.ratio > 0.0 or bool(np.any(np.diag(noise_model.lower) < COLOURED * noise_model.level))
 
 
 def from_other_values(
-    bench: Bench,
+    context: SearchContext,
     fit: Refit,
-    chosen: Callable[[Refit, Chain], list[np.ndarray]],
+    chosen: Callable[[Refit, NoiseModel], list[np.ndarray]],
     *,
     max_steps: int,
     tolerance: float,
@@ -47,46 +47,46 @@ def from_other_values(
 ) -> Refit:
     """A refit, or a better one from other values of its last term.
 
-    **Arguments:** `bench`; `fit`: carried to its end; `chosen`: values of the last term to begin from, given a refit
-    and the chain to score them by; `max_steps`, `tolerance`: of the refits; `worth`: difference in N ln cost from which
-    another one is better.
+    **Arguments:** `context`; `fit`: carried to its end; `chosen`: values of the last term to begin from, given a refit
+    and the noise model to score them by; `max_steps`, `tolerance`: of the refits; `worth`: difference in N ln cost from
+    which another one is better.
     """
-    chain = chain_of(bench, fit)
-    data, options = bench.data[0], {"held": bench.held, "max_steps": max_steps, "tolerance": tolerance}
+    noise_model = noise_model_of(context, fit)
+    data, options = context.data[0], {"held": context.held, "max_steps": max_steps, "tolerance": tolerance}
 
-    def begun(candidate: Candidate, white: Chain) -> tuple[Refit, Chain] | None:
-        again = refit(bench.simulator, candidate, bench.data, white, **options)
-        return None if again is None else (again, chain_of(bench, again))
+    def begun(candidate: Candidate, white: NoiseModel) -> tuple[Refit, NoiseModel] | None:
+        again = refit(context.simulator, candidate, context.data, white, **options)
+        return None if again is None else (again, noise_model_of(context, again))
 
     for _ in range(TURNS):
         candidate, term = fit.candidate, fit.candidate.terms[-1]
-        system = sampled_plant(bench.simulator.plant(fit.candidate), data, bench.simulator.setup.dofs)
-        white = white_chain(fit.residual[0], data.kept, system)
+        system = sampled_plant(context.simulator.plant(fit.candidate), data, context.simulator.setup.dofs)
+        white = white_noise_model(fit.residual[0], data.kept, system)
         others = [Term(term.effect, term.place, values) for values in chosen(fit, white)]
         starts = [candidate.with_terms((*candidate.terms[:-1], other)) for other in others]
         tried = side_by_side(functools.partial(begun, white=white), starts)
-        best = min(filter(None, tried), key=lambda one: one[1].cost, default=(fit, chain))
-        if not best[1].cost < chain.cost - worth:
+        best = min(filter(None, tried), key=lambda one: one[1].cost, default=(fit, noise_model))
+        if not best[1].cost < noise_model.cost - worth:
             break
-        fit, chain = best
+        fit, noise_model = best
     return fit
 
 
 def products_of(
-    bench: Bench, candidate: Candidate, chain: Chain, rows: Callable[[np.ndarray], np.ndarray]
+    context: SearchContext, candidate: Candidate, noise_model: NoiseModel, rows: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[Products, np.ndarray]:
     """What other values of a candidate's last term would explain without it, M, D, K free to first order.
 
-    **Arguments:** `bench`; `candidate`; `chain` to whiten by; `rows`: from the values that the law itself begins with
-    to those to score.
+    **Arguments:** `context`; `candidate`; `noise_model` to whiten by; `rows`: from the values that the law itself
+    begins with to those to score.
 
     **Returns:** the products of their responses, one for every row, and the rows.
     """
-    data, (inputs, outputs) = bench.data[0], bench.names
+    data, (inputs, outputs) = context.data[0], context.names
     term = candidate.terms[-1]
-    stage = stage_of(bench.simulator, candidate.with_terms(candidate.terms[:-1]), data)
-    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - len(bench.held), bool)])
-    whole = stage_of(bench.simulator, candidate, data)
+    stage = stage_of(context.simulator, candidate.with_terms(candidate.terms[:-1]), data)
+    kept = np.concatenate([~context.held, np.ones(stage.J.shape[2] - len(context.held), bool)])
+    whole = stage_of(context.simulator, candidate, data)
     scales = scales_at(stage.plant, whole.motion, data, inputs, outputs, lines_of(stage.e, data))
     key = "input" if term.effect.places == "input" else "coordinate", term.place.name
     tried = rows(np.array(term.effect.shapes(scales[key]), dtype=float))
@@ -100,4 +100,4 @@ def products_of(
         outputs,
         shapes={(term.effect.id, term.place.name): list(tried)},
     )
-    return Products(chain, stage.e, stage.J[:, :, kept], made.responses, data.kept), tried
+    return Products(noise_model, stage.e, stage.J[:, :, kept], made.responses, data.kept), tried

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from ...identification.conic import pseudo_inverse
 from ..model.candidate import Data
 from ..model.parameter_vector import Layout
-from ..noise.whitening import Chain, counted
+from ..noise.whitening import NoiseModel, counted
 from .gauss_newton import Refit
 from .normal_equations import LARGEST, weighted
 
@@ -18,11 +18,11 @@ def evidence(
     e: Float[np.ndarray, "samples outputs"],
     J: Float[np.ndarray, "samples outputs parameters"],
     data: Data,
-    chain: Chain,
+    noise_model: NoiseModel,
 ) -> tuple[float, int]:
-    """Sum of squares of a residual under a chain, re-optimised to first order along J (infinite where these are all but
-    overflowing), and how many samples count."""
-    white = weighted(chain, np.concatenate([J, e[:, :, None]], axis=2), data.kept)
+    """Sum of squares of a residual under a noise model, re-optimised to first order along J (infinite where these are
+    all but overflowing), and how many samples count."""
+    white = weighted(noise_model, np.concatenate([J, e[:, :, None]], axis=2), data.kept)
     count = int(counted(data.kept).sum())
     if not np.max(np.abs(white)) <= LARGEST:
         return np.inf, count

@@ -1,4 +1,5 @@
-"""What a refit is worth: evidence under one chain, gain on data it has not seen, and whether it may be believed."""
+"""What a refit is worth: evidence under one noise model, gain on data it has not seen, and whether it may be
+believed."""
 
 from dataclasses import dataclass
 

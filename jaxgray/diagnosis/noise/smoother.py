@@ -22,7 +22,7 @@ def smoothed_states(
 
     Forward innovations filter, then the backward recursion of Rauch, Tung and Striebel with its stationary gain.
 
-    **Arguments:** as for `estimate_chain`; `ratio` (ρ) of force noise.
+    **Arguments:** as for `estimate_noise_model`; `ratio` (ρ) of force noise.
 
     **Returns:** states of the sampled plant.
 

@@ -1,4 +1,4 @@
-"""What the noise is like: a whitening chain for residual, sensitivities and features alike.
+"""What the noise is like: a noise model for residual, sensitivities and features alike.
 
 Innovations filter of the fitted plant (noise at the inputs), an AR model per output, and the inverse Cholesky
 factor of the covariance of what is left:
@@ -29,7 +29,7 @@ RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
 """Force noise relative to the inputs' mean square that is tried."""
 
 SETTLING = 4 * AR_ORDER
-"""Samples left out at the beginning, where the chain has no past yet."""
+"""Samples left out at the beginning, where the noise model has no past yet."""
 
 AT_ONCE = 5
 """Parts of the grid of ratios that are tried beside one another: their number divides that of the ratios."""
@@ -41,12 +41,12 @@ ROWS = 16
 
 
 @dataclass(frozen=True)
-class Chain:
-    """A whitening chain; see the module.
+class NoiseModel:
+    """A noise model; see the module.
 
     `A`, `C`, `gain`: innovations filter; `coefficients`: 1, a_1, … per output; `lower`: L; `ratio` (ρ) of force noise;
-    `cost`: N ln det of the covariance that is left, with what ρ cost; `level`: root mean square of what the chain was
-    estimated from; `worth`: by how much `cost` is less than with ρ = 0.
+    `cost`: N ln det of the covariance that is left, with what ρ cost; `level`: root mean square of what the noise model
+    was estimated from; `worth`: by how much `cost` is less than with ρ = 0.
     """
 
     A: Float[np.ndarray, "states states"]
@@ -65,8 +65,8 @@ class Chain:
         kept: Bool[np.ndarray, "samples outputs"],
         used: Bool[np.ndarray, "samples outputs"],
     ) -> Float[np.ndarray, "rows samples outputs"]:
-        """Residuals or features through the chain, each a row of its own: what is not `kept` is zero before, what is
-        not `used` zero after it."""
+        """Residuals or features through the noise model, each a row of its own: what is not `kept` is zero before, what
+        is not `used` zero after it."""
         result = np.empty(X.shape)
         if self.is_white:
             inverse = np.linalg.inv(self.lower)
@@ -94,7 +94,8 @@ class Chain:
 
 @stored
 def _whiten(A, C, gain, coefficients, lower, kept, used, X):
-    """The whole chain as one recursion: the innovations filter, and the innovations that the AR models remember."""
+    """The whole noise model as one recursion: the innovations filter, and the innovations that the AR models
+    remember."""
     states, outputs, lags = A.shape[0], C.shape[0], coefficients.shape[1] - 1
     inverse = jax.scipy.linalg.solve_triangular(lower, jnp.eye(outputs), lower=True)
     seen = jnp.concatenate([-C, jnp.zeros((outputs, lags * outputs))], axis=1)
@@ -133,7 +134,7 @@ _respond, _kalman_gain = stored(respond, level=ONCE), stored(kalman_gain, level=
 
 
 def counted(kept: Bool[np.ndarray, "samples outputs"]) -> Bool[np.ndarray, "samples outputs"]:
-    """Samples that a test may count: measured, the chain's past known, its beginning over."""
+    """Samples that a test may count: measured, the noise model's past known, its beginning over."""
     whole = np.array(kept)
     for lag in range(1, AR_ORDER + 1):
         whole[lag:] &= kept[:-lag]
@@ -148,13 +149,13 @@ def white_part(e: Float[np.ndarray, "samples outputs"], kept) -> Float[np.ndarra
     return np.sum(np.where(known, second, 0.0), axis=0) / (6 * np.maximum(known.sum(axis=0), 1))
 
 
-def estimate_chain(
+def estimate_noise_model(
     e: Float[np.ndarray, "samples outputs"],
     kept: Bool[np.ndarray, "samples outputs"],
     system: StateSpace,
     force: Float[np.ndarray, " inputs"],
-) -> Chain:
-    """The chain of a residual from which every effect has been removed.
+) -> NoiseModel:
+    """The noise model of a residual from which every effect has been removed.
 
     ρ minimises N ln det(Σ wwᵀ/N) + 2·[ρ > 0], w after an AR(10) fitted to what its filter leaves, over the part of a
     logarithmic grid where ln det(Σ εεᵀ) of the filter alone is least.
@@ -162,7 +163,7 @@ def estimate_chain(
     **Arguments:** `e`: residual, zero where missing; `kept`: what was measured; `system`: sampled plant with the
     columns of B and D through which noise enters; `force`: mean square of the input at each of them.
 
-    **Returns:** a `Chain`.
+    **Returns:** a `NoiseModel`.
     """
     used = counted(kept)
     rows = np.all(used, axis=1)
@@ -178,17 +179,17 @@ def estimate_chain(
     tried = np.flatnonzero(np.isfinite(costs) & np.all(np.isfinite(gains), axis=(1, 2)))
     plain = _with_colour(A, C, np.zeros((A.shape[0], C.shape[0])), 0.0, e, e, kept, rows)
     best = int(np.argmin(costs[tried])) if len(tried) else 0
-    chain = plain
+    noise_model = plain
     # Coloured noise at the outputs may look like noise at the forces until its colour is allowed for, and then less.
     for k in [tried[k] for k in (best, best - 2, best - 4, best + 2) if 0 <= k < len(tried)]:
         epsilon = np.asarray(_filtered(A, C, gains[k], e))
         with_noise = _with_colour(A, C, gains[k], float(RATIOS[1:][k]), e, epsilon, kept, rows)
-        chain = with_noise if with_noise.cost < chain.cost else chain
-    return dataclasses.replace(chain, worth=plain.cost - chain.cost)
+        noise_model = with_noise if with_noise.cost < noise_model.cost else noise_model
+    return dataclasses.replace(noise_model, worth=plain.cost - noise_model.cost)
 
 
-def _with_colour(A, C, gain, ratio, e, epsilon, kept, rows) -> Chain:
-    """The chain with its AR models and covariance, from what the innovations filter leaves."""
+def _with_colour(A, C, gain, ratio, e, epsilon, kept, rows) -> NoiseModel:
+    """The noise model with its AR models and covariance, from what the innovations filter leaves."""
     outputs, samples = e.shape[1], max(int(rows.sum()), 1)
     coefficients = np.stack([ar_coefficients(np.where(kept[:, k], epsilon[:, k], 0.0)) for k in range(outputs)])
     level = np.sqrt(np.mean(e[rows] ** 2, axis=0)) if rows.any() else np.ones(outputs)
@@ -197,11 +198,11 @@ def _with_colour(A, C, gain, ratio, e, epsilon, kept, rows) -> Chain:
     covariance = white @ white.T / samples
     covariance = covariance + np.diag(_FLOOR * np.diag(covariance) + 1e-300)
     cost = samples * float(np.linalg.slogdet(covariance)[1]) + 2 * (ratio > 0)
-    return Chain(A, C, gain, coefficients, scipy.linalg.cholesky(covariance, lower=True), ratio, cost, level)
+    return NoiseModel(A, C, gain, coefficients, scipy.linalg.cholesky(covariance, lower=True), ratio, cost, level)
 
 
-def white_chain(e: Float[np.ndarray, "samples outputs"], kept, system: StateSpace) -> Chain:
-    """The chain of white output noise with the covariance of a residual: for first fits."""
+def white_noise_model(e: Float[np.ndarray, "samples outputs"], kept, system: StateSpace) -> NoiseModel:
+    """The noise model of white output noise with the covariance of a residual: for first fits."""
     outputs, states = e.shape[1], system.A.shape[0]
     rows = np.all(counted(kept), axis=1)
     covariance = e[rows].T @ e[rows] / max(int(rows.sum()), 1)
@@ -211,4 +212,4 @@ def white_chain(e: Float[np.ndarray, "samples outputs"], kept, system: StateSpac
     lower = scipy.linalg.cholesky(covariance, lower=True)
     cost = rows.sum() * float(np.linalg.slogdet(covariance)[1])
     A, C = np.asarray(system.A), np.asarray(system.C)
-    return Chain(A, C, np.zeros((states, outputs)), coefficients, lower, 0.0, cost, np.sqrt(np.diag(covariance)))
+    return NoiseModel(A, C, np.zeros((states, outputs)), coefficients, lower, 0.0, cost, np.sqrt(np.diag(covariance)))

@@ -12,7 +12,7 @@ from ...numerics.stored_programs import ONCE, stored
 from ..model.candidate import Candidate, Data
 from ..model.simulator import Simulator
 from ..noise.smoother import smoothed_states
-from ..noise.whitening import Chain, counted, estimate_chain, white_chain
+from ..noise.whitening import NoiseModel, counted, estimate_noise_model, white_noise_model
 from .features import Features, Motion, features
 from .scales import scales_at
 from .score_test import Screening, screen
@@ -65,37 +65,39 @@ def sampled_plant(plant: Plant, data: Data, outputs: int) -> StateSpace:
     return StateSpace(system.A, system.B, system.C[:outputs], system.D[:outputs])
 
 
-def look(
+def screen_simulated(
     stage: Stage,
     data: Data,
     catalogue: tuple[AbstractEffect, ...],
     names: tuple[tuple[str, ...], tuple[str, ...]],
     *,
-    chain: Chain | None = None,
+    noise_model: NoiseModel | None = None,
     surrogates: int = 100,
     rng: np.random.Generator | None = None,
 ) -> Screening:
     """The gate: every candidate with features from the simulated motion."""
     made = _features(stage, stage.motion, data, catalogue, names)
-    start = white_chain(stage.e, data.kept, stage.system) if chain is None else chain
+    start = white_noise_model(stage.e, data.kept, stage.system) if noise_model is None else noise_model
     return screen(stage.e, stage.J, data, made, stage.system, stage.force, start, surrogates=surrogates, rng=rng)
 
 
-def look_closer(
+def screen_smoothed(
     stage: Stage,
     data: Data,
     catalogue: tuple[AbstractEffect, ...],
     names: tuple[tuple[str, ...], tuple[str, ...]],
-    chain: Chain | None = None,
+    noise_model: NoiseModel | None = None,
     *,
     renewed: bool = True,
 ) -> Screening:
-    """The ranking: candidates with features from the measured motion, smoothed; the chain is begun anew without one,
-    and left as it is where it is not `renewed`."""
+    """The ranking: candidates with features from the measured motion, smoothed; the noise model is begun anew without
+    one, and left as it is where it is not `renewed`."""
     motion = measured_motion(stage, data)
     made = _features(stage, motion, data, catalogue, names)
     begun, rounds = (
-        (white_chain(stage.e, data.kept, stage.system), 3) if chain is None else (chain, 1 if renewed else 0)
+        (white_noise_model(stage.e, data.kept, stage.system), 3)
+        if noise_model is None
+        else (noise_model, 1 if renewed else 0)
     )
     return screen(stage.e, stage.J, data, made, stage.system, stage.force, begun, rounds=rounds)
 
@@ -121,8 +123,8 @@ def measured_motion(stage: Stage, data: Data) -> Motion:
     force = np.mean((data.u[: data.samples] @ map_.T) ** 2, axis=0)
     force = np.maximum(force, 1e-6 * max(float(force.max()), 1e-300))
     # The mean is no motion: a constant would drag the smoothed states along.
-    chain = estimate_chain(stage.e, data.kept, system, force)
-    ratio = chain.ratio if chain.ratio > 0 else 1e-8
+    noise_model = estimate_noise_model(stage.e, data.kept, system, force)
+    ratio = noise_model.ratio if noise_model.ratio > 0 else 1e-8
     x = smoothed_states(system, stage.e, data.kept, force, ratio)
     q, v = stage.motion.q + x[:, :dofs], stage.motion.v + x[:, dofs:] / h
     if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):

@@ -1,4 +1,4 @@
-"""Inner products of sensitivities, residual and responses through one whitening chain, sensitivities taken out."""
+"""Inner products of sensitivities, residual and responses through one noise model, sensitivities taken out."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...identification.conic import pseudo_inverse
-from ..noise.whitening import Chain, counted
+from ..noise.whitening import NoiseModel, counted
 
 DEPENDENT = 1e-9
 """Share of a response's power off the model's sensitivities below which the record cannot show it."""
@@ -65,9 +65,9 @@ class Alone(NamedTuple):
 
 
 class Products:
-    """All responses through one chain, kept as rows so that products are taken only where they are asked for.
+    """All responses through one noise model, kept as rows so that products are taken only where they are asked for.
 
-    **Arguments:** `chain`; `e`: residual, `J`: its sensitivities; `responses`; `kept`: what was measured.
+    **Arguments:** `noise_model`; `e`: residual, `J`: its sensitivities; `responses`; `kept`: what was measured.
 
     `rows`: whitened samples that count (m); `power` of the residual off the sensitivities (r0); `finite`: which
     responses are.
@@ -75,7 +75,7 @@ class Products:
 
     def __init__(
         self,
-        chain: Chain,
+        noise_model: NoiseModel,
         e: Float[np.ndarray, "samples outputs"],
         J: Float[np.ndarray, "samples outputs parameters"],
         responses: Float[np.ndarray, "columns samples outputs"],
@@ -85,7 +85,7 @@ class Products:
         self.rows = int(used.sum())
 
         def white(X):
-            return chain.whiten_rows(X, kept, used).reshape(len(X), kept.size)
+            return noise_model.whiten_rows(X, kept, used).reshape(len(X), kept.size)
 
         self.model = white(np.moveaxis(np.concatenate([J, e[:, :, None]], axis=2), 2, 0))
         self.finite = np.isfinite(responses.sum(axis=(1, 2)))
@@ -129,7 +129,7 @@ class Products:
         """Least-squares weights of the sensitivities and some responses, in this order, for the residual.
 
         **Arguments:** `columns`: of the responses; `first`: the same as they are over the first samples, in units of
-        the noise, the residual last; a chain with noise at the forces leaves a first state open.
+        the noise, the residual last; a noise model with noise at the forces leaves a first state open.
         """
         white = np.concatenate([self.model[:-1], self.X[columns], self.model[-1:]])
         table = np.concatenate([white, first], axis=1)

@@ -16,13 +16,13 @@ from jaxtyping import Bool, Float
 from ...identification.conic import pseudo_inverse
 from ...mechanics.effects.base import limits
 from ..model.candidate import Data
-from ..noise.whitening import SETTLING, Chain, estimate_chain
-from ..settings import GATE, SIGNIFICANCE
+from ..noise.whitening import SETTLING, NoiseModel, estimate_noise_model
+from ..settings import GATE_DELTA_BIC, SIGNIFICANCE
 from .features import Features, Shape
 from .projections import Products
 
 CONTENDERS = 100
-"""Shapes that may be removed before the chain is estimated."""
+"""Shapes that may be removed before the noise model is estimated."""
 
 
 @dataclass(frozen=True)
@@ -44,15 +44,15 @@ class Score:
 
 @dataclass(frozen=True)
 class Screening:
-    """Scores of all shapes, best first, under one chain, and what did not give a finite response.
+    """Scores of all shapes, best first, under one noise model, and what did not give a finite response.
 
-    `rows`: whitened samples that count (m); `chain`; `clean`: residual without model and what was picked;
+    `rows`: whitened samples that count (m); `noise_model`; `clean`: residual without model and what was picked;
     `threshold`: ΔBIC from which the gate opens; `overflowed`: shapes whose response was not finite; `first`: scores
-    under the chain to begin with.
+    under the noise model to begin with.
     """
 
     scores: tuple[Score, ...]
-    chain: Chain
+    noise_model: NoiseModel
     rows: int
     clean: Float[np.ndarray, "samples outputs"]
     threshold: float
@@ -76,7 +76,7 @@ class Screening:
     @property
     def shows(self) -> bool:
         """Whether any candidate is worth a refit."""
-        return bool(self.scores) and self.scores[0].delta_bic >= GATE
+        return bool(self.scores) and self.scores[0].delta_bic >= GATE_DELTA_BIC
 
     @property
     def fires(self) -> bool:
@@ -118,7 +118,7 @@ def score_all(products: Products, features: Features) -> tuple[tuple[Score, ...]
             continue
         p = float(scipy.special.chdtrc(seen, ratio)) * shape.tried if worth else 1.0
         variance = products.power * (1 - share) / m
-        smallest = float(np.sqrt((penalty + GATE) * variance) / size)
+        smallest = float(np.sqrt((penalty + GATE_DELTA_BIC) * variance) / size)
         scores.append(Score(shape, weights, float(ratio), float(ratio - penalty), p, smallest, int(columns[0])))
     scores.sort(key=lambda s: -s.delta_bic)
     return tuple(scores), overflowed
@@ -142,44 +142,49 @@ def screen(
     features: Features,
     system,
     force: Float[np.ndarray, " inputs"],
-    chain: Chain,
+    noise_model: NoiseModel,
     *,
     rounds: int = 3,
     picked: int = 3,
     surrogates: int = 0,
     rng: np.random.Generator | None = None,
 ) -> Screening:
-    """Score every candidate, the chain estimated on what is left once the best are removed.
+    """Score every candidate, the noise model estimated on what is left once the best are removed.
 
-    An effect must not be part of what the chain is fitted to: it would be whitened away. So the chain is estimated
-    in turn with the scores, each time on the residual without sensitivities and without the best few responses.
+    An effect must not be part of what the noise model is fitted to: it would be whitened away. So the noise model is
+    estimated in turn with the scores, each time on the residual without sensitivities and without the best few
+    responses.
 
     **Arguments:** `e`, `J`: free-run residual and its sensitivities; `data`; `features`; `system`, `force`: for
-    `estimate_chain`; `chain` to begin with; `rounds`: 0 leaves the chain as it is; `picked`: how many are removed at
-    most; `surrogates`: noise residuals that calibrate the gate; `rng` for them.
+    `estimate_noise_model`; `noise_model` to begin with; `rounds`: 0 leaves the noise model as it is; `picked`: how many
+    are removed at most; `surrogates`: noise residuals that calibrate the gate; `rng` for them.
 
     **Returns:** a `Screening`.
     """
-    products = Products(chain, e, J, features.responses, data.kept)
+    products = Products(noise_model, e, J, features.responses, data.kept)
     first, overflowed = score_all(products, features)
     few, scores, clean = features, first, e
     for turn in range(rounds):
-        clean = without(e, J, few, products, scores, data.kept, chain.level, picked)
-        renewed = estimate_chain(clean, data.kept, system, force)
-        if turn and renewed.ratio == chain.ratio and np.allclose(renewed.coefficients, chain.coefficients, atol=0.01):
+        clean = without(e, J, few, products, scores, data.kept, noise_model.level, picked)
+        renewed = estimate_noise_model(clean, data.kept, system, force)
+        if (
+            turn
+            and renewed.ratio == noise_model.ratio
+            and np.allclose(renewed.coefficients, noise_model.coefficients, atol=0.01)
+        ):
             break
-        chain = renewed
+        noise_model = renewed
         if turn < rounds - 1:
             # On the way only those that may be removed are scored.
             few = features.only(first[:CONTENDERS]) if few is features else few
-            products = Products(chain, e, J, few.responses, data.kept)
+            products = Products(noise_model, e, J, few.responses, data.kept)
             scores, _ = score_all(products, few)
-    products = Products(chain, e, J, features.responses, data.kept)
+    products = Products(noise_model, e, J, features.responses, data.kept)
     scores, overflowed = score_all(products, features)
-    threshold = GATE
-    if surrogates and scores and GATE < scores[0].delta_bic < 100.0:
-        threshold = max(GATE, _calibrated(products, scores, surrogates, rng))
-    return Screening(scores, chain, products.rows, clean, threshold, overflowed, first)
+    threshold = GATE_DELTA_BIC
+    if surrogates and scores and GATE_DELTA_BIC < scores[0].delta_bic < 100.0:
+        threshold = max(GATE_DELTA_BIC, _calibrated(products, scores, surrogates, rng))
+    return Screening(scores, noise_model, products.rows, clean, threshold, overflowed, first)
 
 
 def without(
@@ -193,7 +198,7 @@ def without(
     picked: int,
 ) -> Float[np.ndarray, "samples outputs"]:
     """The residual without sensitivities and without the best responses, chosen one after the other."""
-    pool = [s for s in scores if s.delta_bic > GATE][:60]
+    pool = [s for s in scores if s.delta_bic > GATE_DELTA_BIC][:60]
     # Columns of the pool, and where each of its shapes has its own among them.
     columns = np.concatenate([np.arange(s.column, s.column + len(s.shape.basis)) for s in pool]) if pool else []
     ends = np.cumsum([len(s.shape.basis) for s in pool])
@@ -210,7 +215,7 @@ def without(
                 continue
             share, _ = here.taken(own)
             gain = -here.rows * np.log1p(-share) - _penalty(s.shape, here.rows)
-            if gain > GATE and (best is None or gain > best[0]):
+            if gain > GATE_DELTA_BIC and (best is None or gain > best[0]):
                 best = gain, s, own
         if best is None:
             break

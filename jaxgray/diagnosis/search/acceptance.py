@@ -7,7 +7,7 @@ import numpy as np
 from ...identification.validation import residual_test
 from ...mechanics.effects.sensor import SensorCrosstalk
 from ..acceptance import AbstractEvidence, negligible, unproven, unsound
-from ..estimation.context import Bench
+from ..estimation.context import SearchContext
 from ..estimation.multistart import Attempt, unresolved
 from ..estimation.significance import at_bound, significance
 from ..findings import Reason, Refusal
@@ -15,16 +15,16 @@ from ..model.free_run import overall
 from ..model.held_out_gain import gain_of
 from ..model.parameter_vector import Layout
 from ..noise.floor import residual_rms
-from .state import Growth, held_out_run, is_local, runs_seen
+from .state import SearchState, held_out_run, is_local, runs_seen
 
 
-def floor_of(bench: Bench, attempts: list[Attempt]) -> np.ndarray:
+def floor_of(context: SearchContext, attempts: list[Attempt]) -> np.ndarray:
     """Noise floor per output: the independent one, or what the best refit leaves."""
-    if bench.floor is not None:
-        return bench.floor
+    if context.floor is not None:
+        return context.floor
     if not attempts:
-        return np.ones(bench.simulator.setup.dofs)
-    return residual_rms(attempts[0].fit.residual[0], bench.data[0])
+        return np.ones(context.simulator.setup.dofs)
+    return residual_rms(attempts[0].fit.residual[0], context.data[0])
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class Evidence(AbstractEvidence):
     """What the data of the fit say of an attempt. `floor`: noise per output, by which the excess is counted;
     `given_shape`: with the errors that sizes have beside a shape that is known."""
 
-    bench: Bench
-    growth: Growth
+    context: SearchContext
+    state: SearchState
     attempt: Attempt
     floor: np.ndarray
     given_shape: bool = False
@@ -43,7 +43,7 @@ class Evidence(AbstractEvidence):
         return self.attempt.delta_bic
 
     def follows_inputs(self):
-        return _fed_back(self.bench, self.growth, self.attempt)
+        return _is_feedback(self.context, self.state, self.attempt)
 
     def bound(self):
         return at_bound(self.attempt.fit, len(self.attempt.fit.candidate.terms) - 1)
@@ -53,7 +53,7 @@ class Evidence(AbstractEvidence):
 
     def size(self):
         fit = self.attempt.fit
-        layout = Layout(self.bench.simulator.setup, fit.candidate)
+        layout = Layout(self.context.simulator.setup, fit.candidate)
         return significance(fit, layout, len(fit.candidate.terms) - 1, given_shape=self.given_shape)
 
     def explained(self):
@@ -62,63 +62,63 @@ class Evidence(AbstractEvidence):
 
     def excess(self) -> tuple[float, float]:
         """Mean square error of the free run in units of the noise, without it and with it."""
-        data = self.bench.data[0]
-        residuals = self.growth.sure.e, self.attempt.fit.residual[0]
+        data = self.context.data[0]
+        residuals = self.state.sure.e, self.attempt.fit.residual[0]
         return tuple(overall(residual_rms(e, data), self.floor) ** 2 for e in residuals)
 
 
-def judged(bench: Bench, growth: Growth, attempt: Attempt, floor: np.ndarray, given_shape: bool = False):
+def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: np.ndarray, given_shape: bool = False):
     """Why an attempt is refused (None if it is not), its gain, and its free runs on held-out data; `given_shape` as for
     `Evidence`."""
-    evidence = Evidence(bench, growth, attempt, floor, given_shape)
+    evidence = Evidence(context, state, attempt, floor, given_shape)
     why = unsound(evidence)
     if why is not None:
         return why, None, None
-    here = growth.sure
-    if not np.all(residual_rms(attempt.fit.residual[0], bench.data[0]) < 2 * residual_rms(here.e, bench.data[0])):
+    here = state.sure
+    if not np.all(residual_rms(attempt.fit.residual[0], context.data[0]) < 2 * residual_rms(here.e, context.data[0])):
         return Refusal(Reason.WORSE, "its free run leaves more than it explains"), None, None
     before, after = evidence.excess()
     if after > before:
         return Refusal(Reason.WORSE, "its free run leaves more than the model without it"), None, None
     if (why := negligible(evidence, "the excess")) is not None:
         return why, None, None
-    names = bench.names[1]
-    seen = runs_seen(bench, here.e, attempt.fit.residual[0], growth.start.e)
-    if is_local(bench, attempt.score.shape.effect) or not bench.validation:
-        runs = growth.runs
-        gain = gain_of(*seen, floor, names, held_out=False, rng=bench.rng)
+    names = context.names[1]
+    seen = runs_seen(context, here.e, attempt.fit.residual[0], state.start.e)
+    if is_local(context, attempt.score.shape.effect) or not context.validation:
+        runs = state.runs
+        gain = gain_of(*seen, floor, names, held_out=False, rng=context.rng)
         # What was fitted to these data always gains a little. Beside what it mends itself: how far the error varied
         # that earlier findings took away is nothing to it.
         left, after, _ = seen
-        alone = gain_of(left, after, left, floor, names, held_out=False, rng=bench.rng)
+        alone = gain_of(left, after, left, floor, names, held_out=False, rng=context.rng)
         sure = alone.ci99_lower > 0 and alone.ci95[0] > 0
         why = None if sure else Refusal(Reason.NO_SURE_GAIN, "no sure gain, even on the data of the fit")
         return why, gain, runs
-    runs = [held_out_run(bench, attempt.fit.candidate, d) for d in bench.validation]
+    runs = [held_out_run(context, attempt.fit.candidate, d) for d in context.validation]
     if not all(np.all(np.isfinite(run.e)) for run in runs):
         return Refusal(Reason.NOT_SIMULATED, "its free run on held-out data overflows"), None, None
-    gain = gain_of(growth.runs, runs, growth.baseline_runs, floor, names, held_out=True, rng=bench.rng, seen=seen)
+    gain = gain_of(state.runs, runs, state.baseline_runs, floor, names, held_out=True, rng=context.rng, seen=seen)
     if (why := unproven(gain)) is not None:
         return why, gain, None
-    if growth.credit is not None:
-        lent = growth.accepted[-1].runs
-        more = gain_of(lent, runs, growth.baseline_runs, floor, names, held_out=True, rng=bench.rng)
+    if state.provisional is not None:
+        lent = state.accepted[-1].runs
+        more = gain_of(lent, runs, state.baseline_runs, floor, names, held_out=True, rng=context.rng)
         if unproven(more) is not None:
             why = "no sure gain on held-out data beyond that of what was lent its place"
             return Refusal(Reason.NO_SURE_GAIN, why), more, None
     return None, gain, runs
 
 
-def _fed_back(bench: Bench, growth: Growth, attempt: Attempt) -> bool:
+def _is_feedback(context: SearchContext, state: SearchState, attempt: Attempt) -> bool:
     """Whether crosstalk from an input stands for a closed loop that feeds the noise back to the inputs; such crosstalk
     is then no longer looked for."""
-    inputs, outputs = bench.names
+    inputs, outputs = context.names
     from_inputs = frozenset((SensorCrosstalk.id, f"{u}->{y}") for u in inputs for y in outputs)
     if attempt.name not in from_inputs:
         return False
-    data = bench.data[0]
+    data = context.data[0]
     e = np.where(data.kept, attempt.fit.residual[0], np.nan)[: data.samples]
     if not residual_test(e, data.u[: data.samples]).followed:
         return False
-    growth.ruled_out |= from_inputs
+    state.ruled_out |= from_inputs
     return True

@@ -10,61 +10,61 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.effects.base import Term
-from ..estimation.context import Bench, chain_of
+from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit, refit, with_states
 from ..estimation.multistart import moving
 from ..estimation.significance import evidence, significance
 from ..findings import Reason, Refusal, Rejected
 from ..model.candidate import Candidate
 from ..model.parameter_vector import Layout
-from ..settings import ACCEPTED, SIGNIFICANT
-from .state import Growth, held_out_run, stage_of_candidate
+from ..settings import MIN_DELTA_BIC, MIN_STANDARD_ERRORS
+from .state import SearchState, held_out_run, stage_of_candidate
 
 LITTLE = 3.0
 """Standard errors from nothing up to which a parameter beyond those of a simpler law is doubted."""
 
 
-def prune(bench: Bench, growth: Growth) -> None:
+def prune(context: SearchContext, state: SearchState) -> None:
     """Make one law of the newest and of what it contains, and drop the terms that the newer ones have made needless;
     where there is none, put simpler laws in the place of those that hardly differ from them."""
-    before = len(growth.accepted)
-    _unite(bench, growth)
-    while len(growth.accepted) > 1 and _dropped(bench, growth):
+    before = len(state.accepted)
+    _unite(context, state)
+    while len(state.accepted) > 1 and _dropped(context, state):
         pass
-    if len(growth.accepted) == before:
-        _simplify(bench, growth)
+    if len(state.accepted) == before:
+        _simplify(context, state)
 
 
-def _unite(bench: Bench, growth: Growth) -> None:
+def _unite(context: SearchContext, state: SearchState) -> None:
     """Let the newest law stand alone, in the place of a simpler one that it contains and that was accepted where it
     acts: beside it, what both name is shared between them at will."""
-    terms = growth.fit.candidate.terms
-    wide, accepted = terms[-1], growth.accepted[-1]
+    terms = state.fit.candidate.terms
+    wide, accepted = terms[-1], state.accepted[-1]
     inside = [t.effect.id in wide.effect.contains and t.place == wide.place for t in terms[:-1]]
     if not any(inside):
         return
     k = inside.index(True)
     whole = (*terms[:k], _sum_of(wide, terms[k]), *terms[k + 1 : -1])
-    found = _instead(bench, growth, growth.fit.candidate.with_terms(whole))
+    found = _instead(context, state, state.fit.candidate.with_terms(whole))
     if found is None:
         return
     fit, ratio, rows = found
-    gone = growth.accepted[k]
+    gone = state.accepted[k]
     change = ratio - gone.attempt.score.shape.free * np.log(rows)
-    if change >= ACCEPTED:
+    if change >= MIN_DELTA_BIC:
         return
     why = f"contained in {wide.effect.id}, which explains as much alone"
-    growth.rejected.append(Rejected.of(gone.attempt.name, change, Refusal(Reason.NEEDLESS, why)))
+    state.rejected.append(Rejected.of(gone.attempt.name, change, Refusal(Reason.NEEDLESS, why)))
     # What stood for either of them was refitted beside other terms; it is compared with their sum at the end.
     known = {r.name: r for r in (*gone.rivals, *accepted.rivals) if r.name != accepted.attempt.name}
     rivals = tuple(dataclasses.replace(r, criterion=np.inf) for r in known.values())
     worth = accepted.attempt.delta_bic + gone.attempt.delta_bic - change
     attempt = dataclasses.replace(accepted.attempt, fit=gone.attempt.fit, delta_bic=float(worth))
-    growth.accepted.pop()
-    growth.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals, runs=gone.runs)
-    _take(bench, growth, fit)
-    if k == len(growth.accepted) - 1:
-        _credit(growth, 0.0)
+    state.accepted.pop()
+    state.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals, runs=gone.runs)
+    _take(context, state, fit)
+    if k == len(state.accepted) - 1:
+        _credit(state, 0.0)
 
 
 def _sum_of(wide: Term, simple: Term) -> Term:
@@ -76,54 +76,54 @@ def _sum_of(wide: Term, simple: Term) -> Term:
     return Term(wide.effect, wide.place, wide.effect.bounded(np.where(sizes, values + part, values)))
 
 
-def _dropped(bench: Bench, growth: Growth) -> bool:
+def _dropped(context: SearchContext, state: SearchState) -> bool:
     """Drop one accepted term that explains nothing beside the others; whether there was one."""
-    layout = Layout(bench.simulator.setup, growth.fit.candidate)
-    for k in range(len(growth.accepted)):
-        if significance(growth.fit, layout, k) >= SIGNIFICANT:
+    layout = Layout(context.simulator.setup, state.fit.candidate)
+    for k in range(len(state.accepted)):
+        if significance(state.fit, layout, k) >= MIN_STANDARD_ERRORS:
             continue
-        terms = tuple(t for j, t in enumerate(growth.fit.candidate.terms) if j != k)
-        found = _instead(bench, growth, growth.fit.candidate.with_terms(terms))
+        terms = tuple(t for j, t in enumerate(state.fit.candidate.terms) if j != k)
+        found = _instead(context, state, state.fit.candidate.with_terms(terms))
         if found is None:
             continue
-        gone = growth.accepted[k].attempt
+        gone = state.accepted[k].attempt
         fit, ratio, rows = found
         change = ratio - gone.score.shape.free * np.log(rows)
-        if change < ACCEPTED:
-            growth.accepted.pop(k)
+        if change < MIN_DELTA_BIC:
+            state.accepted.pop(k)
             why = Refusal(Reason.NEEDLESS, "needless once the others are in the model")
-            growth.rejected.append(Rejected.of(gone.name, change, why))
-            _take(bench, growth, fit)
-            if k == len(growth.accepted):
-                _credit(growth, gone.delta_bic - change)
+            state.rejected.append(Rejected.of(gone.name, change, why))
+            _take(context, state, fit)
+            if k == len(state.accepted):
+                _credit(state, gone.delta_bic - change)
             return True
     return False
 
 
-def _credit(growth: Growth, delta_bic: float) -> None:
+def _credit(state: SearchState, delta_bic: float) -> None:
     """Give the last finding its better values, and what they are worth."""
-    last = growth.accepted[-1]
-    attempt = dataclasses.replace(last.attempt, fit=growth.fit, delta_bic=last.attempt.delta_bic + delta_bic)
-    growth.accepted[-1] = dataclasses.replace(last, attempt=attempt)
+    last = state.accepted[-1]
+    attempt = dataclasses.replace(last.attempt, fit=state.fit, delta_bic=last.attempt.delta_bic + delta_bic)
+    state.accepted[-1] = dataclasses.replace(last, attempt=attempt)
 
 
-def _simplify(bench: Bench, growth: Growth) -> None:
+def _simplify(context: SearchContext, state: SearchState) -> None:
     """A law whose further parameters explain nothing beside the others gives way to the simpler one that it contains,
     begun from where it ended."""
-    known = {effect.id: effect for effect in bench.catalogue}
-    for k, accepted in enumerate(growth.accepted):
-        term = growth.fit.candidate.terms[k]
-        inside = {t.effect.id for t in growth.fit.candidate.terms if t.place == term.place}
+    known = {effect.id: effect for effect in context.catalogue}
+    for k, accepted in enumerate(state.accepted):
+        term = state.fit.candidate.terms[k]
+        inside = {t.effect.id for t in state.fit.candidate.terms if t.place == term.place}
         for simpler in (known[name] for name in term.effect.contains if name in known and name not in inside):
             values = dict(zip((p.name for p in term.effect.parameters), np.array(term.values, dtype=float)))
             # The width over which a sign turns is nothing where the law with more in it has none.
             values = {p.name: 0.0 for p in simpler.parameters if not p.counts} | values
             named = all(p.name in values for p in simpler.parameters)
-            if not named or not _doubtful(bench, growth, k, simpler):
+            if not named or not _doubtful(context, state, k, simpler):
                 continue
             plain = Term(simpler, term.place, np.array([values[p.name] for p in simpler.parameters], dtype=float))
-            terms = tuple(plain if j == k else t for j, t in enumerate(growth.fit.candidate.terms))
-            found = _instead(bench, growth, growth.fit.candidate.with_terms(terms))
+            terms = tuple(plain if j == k else t for j, t in enumerate(state.fit.candidate.terms))
+            found = _instead(context, state, state.fit.candidate.with_terms(terms))
             if found is None:
                 continue
             fit, ratio, rows = found
@@ -131,23 +131,23 @@ def _simplify(bench: Bench, growth: Growth) -> None:
             if ratio >= max(accepted.attempt.score.shape.free - shape.free, 1) * np.log(rows):
                 continue
             why = f"the same as {simpler.id} with a parameter that explains nothing beside the others"
-            growth.rejected.append(Rejected.of(accepted.attempt.name, ratio, Refusal(Reason.NEEDLESS, why)))
+            state.rejected.append(Rejected.of(accepted.attempt.name, ratio, Refusal(Reason.NEEDLESS, why)))
             score = dataclasses.replace(accepted.attempt.score, shape=shape)
             attempt = dataclasses.replace(accepted.attempt, score=score)
             # Rivals that contain it, too, are it with something that explains nothing.
             rivals = tuple(
                 r for r in accepted.rivals if r.name != attempt.name and simpler.id not in r.score.shape.effect.contains
             )
-            growth.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals)
-            _take(bench, growth, fit)
+            state.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals)
+            _take(context, state, fit)
             break
 
 
-def _doubtful(bench: Bench, growth: Growth, k: int, simpler) -> bool:
+def _doubtful(context: SearchContext, state: SearchState, k: int, simpler) -> bool:
     """Whether what a law has beyond a simpler one is near nothing by now."""
-    layout = Layout(bench.simulator.setup, growth.fit.candidate)
-    errors = np.sqrt(np.maximum(np.diag(growth.fit.covariance), 0.0))
-    term, common = growth.fit.candidate.terms[k], {p.name for p in simpler.parameters}
+    layout = Layout(context.simulator.setup, state.fit.candidate)
+    errors = np.sqrt(np.maximum(np.diag(state.fit.covariance), 0.0))
+    term, common = state.fit.candidate.terms[k], {p.name for p in simpler.parameters}
     further = [
         abs(float(term.values[j])) <= LITTLE * errors[layout.first + at]
         for at, (owner, j) in enumerate(layout.terms)
@@ -156,21 +156,21 @@ def _doubtful(bench: Bench, growth: Growth, k: int, simpler) -> bool:
     return any(further)
 
 
-def _instead(bench: Bench, growth: Growth, candidate: Candidate) -> tuple[Refit, float, int] | None:
+def _instead(context: SearchContext, state: SearchState, candidate: Candidate) -> tuple[Refit, float, int] | None:
     """A candidate with less in it, refitted, and by how much the likelihood ratio speaks for the present model, over
     so many samples; None where it cannot be simulated."""
-    chain = chain_of(bench, growth.fit)
-    fit = refit(bench.simulator, candidate, bench.data, chain, held=bench.held)
+    noise_model = noise_model_of(context, state.fit)
+    fit = refit(context.simulator, candidate, context.data, noise_model, held=context.held)
     if fit is None:
         return None
-    with_it, rows = evidence(*moving(bench, growth.fit), bench.data[0], chain)
-    without_it, _ = evidence(*moving(bench, fit), bench.data[0], chain)
+    with_it, rows = evidence(*moving(context, state.fit), context.data[0], noise_model)
+    without_it, _ = evidence(*moving(context, fit), context.data[0], noise_model)
     return fit, float(rows * np.log(without_it / with_it)), rows
 
 
-def _take(bench: Bench, growth: Growth, fit: Refit) -> None:
+def _take(context: SearchContext, state: SearchState, fit: Refit) -> None:
     """Go on from another refit."""
-    fit = with_states(bench.simulator, fit, bench.data)
-    growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
-    growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
-    growth.accepted[-1] = dataclasses.replace(growth.accepted[-1], runs=growth.runs)
+    fit = with_states(context.simulator, fit, context.data)
+    state.fit, state.stage = fit, stage_of_candidate(context, fit.candidate)
+    state.runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
+    state.accepted[-1] = dataclasses.replace(state.accepted[-1], runs=state.runs)

@@ -7,7 +7,7 @@ import scipy.special
 
 from ...mechanics.effects.base import AbstractEffect
 from ..estimation.multistart import Attempt
-from ..settings import ALIKE, STANDING_ALIKE
+from ..settings import CLASS_DELTA_BIC, LOOK_ALIKE_DELTA_BIC
 
 LEVEL = 0.01
 """Probability at which chance alone makes further parameters of a law pay."""
@@ -31,7 +31,7 @@ def resemble(one: AbstractEffect, other: AbstractEffect) -> bool:
 
 def alike(best: Attempt, other: Attempt) -> float:
     """Difference of BIC within which two attempts count as one class."""
-    return STANDING_ALIKE if resemble(other.score.shape.effect, best.score.shape.effect) else ALIKE
+    return LOOK_ALIKE_DELTA_BIC if resemble(other.score.shape.effect, best.score.shape.effect) else CLASS_DELTA_BIC
 
 
 def simplified(ranked: list[Attempt]) -> list[Attempt]:

@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 
-from ..estimation.context import Bench, chain_of
+from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, in_short_steps
 from ..estimation.element_sums import at_fewer_everywhere
 from ..estimation.gauss_newton import Refit, refit
@@ -13,9 +13,9 @@ from ..estimation.multistart import Attempt, moving
 from ..estimation.significance import evidence
 from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
 from ..model.free_run import overall
-from ..noise.whitening import Chain
+from ..noise.whitening import NoiseModel
 from .confusable import alike, needless
-from .state import Growth, held_out_run, stage_of_candidate
+from .state import SearchState, held_out_run, stage_of_candidate
 
 STEPS = 10
 """Of each refit of a rival."""
@@ -24,45 +24,45 @@ ASTRAY = 2.0
 """Error on held-out data, relative to that before, from which finer steps have led astray."""
 
 
-def rejudge(bench: Bench, growth: Growth) -> None:
+def swap_rivals(context: SearchContext, state: SearchState) -> None:
     """Refit every rival in its finding's place in the model with all findings. Those that are far behind leave the
     class; one that is far ahead takes the place. The last finding's rivals were refitted there, unless it took in a law
     that it contains. At the end all is refitted in steps whose error cannot be told from noise."""
-    if growth.fit is not None:
-        fewer = at_fewer_everywhere(bench, growth.fit, max_steps=STEPS, tolerance=ROUGH)
-        if fewer is not growth.fit:
-            _go_on(bench, growth, fewer)
-    last = len(growth.accepted) - 1
-    for k, accepted in enumerate(growth.accepted):
+    if state.fit is not None:
+        fewer = at_fewer_everywhere(context, state.fit, max_steps=STEPS, tolerance=ROUGH)
+        if fewer is not state.fit:
+            _go_on(context, state, fewer)
+    last = len(state.accepted) - 1
+    for k, accepted in enumerate(state.accepted):
         if k < last and accepted.rivals or any(np.isinf(rival.criterion) for rival in accepted.rivals):
-            bench.progress.stage(f"judging rivals of {growth.accepted[k].attempt.name[0]} again")
-            _class_again(bench, growth, k)
-    if growth.fit is not None:
+            context.progress.stage(f"judging rivals of {state.accepted[k].attempt.name[0]} again")
+            _class_again(context, state, k)
+    if state.fit is not None:
         # Too small to change a decision, the error of the steps may still move values by more than their error bars.
-        fine, _ = in_short_steps(bench, growth.fit)
-        if fine is not growth.fit and not _lost(bench, growth, fine):
-            _go_on(bench, growth, fine)
+        fine, _ = in_short_steps(context, state.fit)
+        if fine is not state.fit and not _lost(context, state, fine):
+            _go_on(context, state, fine)
 
 
-def _lost(bench: Bench, growth: Growth, fit: Refit) -> bool:
+def _lost(context: SearchContext, state: SearchState, fit: Refit) -> bool:
     """Whether another refit of all findings is much farther from the held-out data: what the data of the fit hardly
     determine went astray on the way."""
-    runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
-    return any(not overall(new.rmse, old.rmse) < ASTRAY for new, old in zip(runs, growth.runs))
+    runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
+    return any(not overall(new.rmse, old.rmse) < ASTRAY for new, old in zip(runs, state.runs))
 
 
-def _class_again(bench: Bench, growth: Growth, k: int) -> None:
-    accepted, chain = growth.accepted[k], chain_of(bench, growth.fit)
+def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
+    accepted, noise_model = state.accepted[k], noise_model_of(context, state.fit)
     own = accepted.attempt
-    here = _worth(bench, growth.fit, chain) + own.penalty
+    here = _worth(context, state.fit, noise_model) + own.penalty
     # The finding itself, in the place that it has now.
-    members: list[Attempt] = [dataclasses.replace(own, fit=growth.fit, criterion=here)]
+    members: list[Attempt] = [dataclasses.replace(own, fit=state.fit, criterion=here)]
     for rival in accepted.rivals:
-        fit = _beside(bench, growth, rival, k, chain)
+        fit = _beside(context, state, rival, k, noise_model)
         if fit is None:
-            growth.rejected.append(Rejected.of(rival.name, rival.delta_bic, NOT_SIMULATED))
+            state.rejected.append(Rejected.of(rival.name, rival.delta_bic, NOT_SIMULATED))
             continue
-        members.append(dataclasses.replace(rival, fit=fit, criterion=_worth(bench, fit, chain) + rival.penalty))
+        members.append(dataclasses.replace(rival, fit=fit, criterion=_worth(context, fit, noise_model) + rival.penalty))
     best = min(members, key=lambda member: member.criterion)
     if here - best.criterion < alike(best, members[0]):
         best = members[0]
@@ -75,38 +75,40 @@ def _class_again(bench: Bench, growth: Growth, k: int) -> None:
             rivals.append(dataclasses.replace(member, criterion=own.criterion + behind))
             continue
         why = f"explained better by {' at '.join(best.name)} once the others are in the model (by {behind:.0f})"
-        growth.rejected.append(Rejected.of(member.name, member.delta_bic, Refusal(Reason.EXPLAINED_BETTER, why)))
-        growth.tried[member.name] = member.fit
+        state.rejected.append(Rejected.of(member.name, member.delta_bic, Refusal(Reason.EXPLAINED_BETTER, why)))
+        state.tried[member.name] = member.fit
     if best is members[0]:
-        growth.accepted[k] = dataclasses.replace(accepted, rivals=tuple(rivals))
+        state.accepted[k] = dataclasses.replace(accepted, rivals=tuple(rivals))
         return
     taken = dataclasses.replace(best, fit=own.fit, criterion=own.criterion)
-    growth.accepted[k] = dataclasses.replace(accepted, attempt=taken, rivals=tuple(rivals), move=Move.IN_ITS_PLACE)
-    _go_on(bench, growth, best.fit)
+    state.accepted[k] = dataclasses.replace(accepted, attempt=taken, rivals=tuple(rivals), move=Move.IN_ITS_PLACE)
+    _go_on(context, state, best.fit)
 
 
-def _go_on(bench: Bench, growth: Growth, fit: Refit) -> None:
+def _go_on(context: SearchContext, state: SearchState, fit: Refit) -> None:
     """Let another refit of all findings stand for the whole model."""
-    growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
-    growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
-    growth.accepted[-1] = dataclasses.replace(growth.accepted[-1], runs=growth.runs)
+    state.fit, state.stage = fit, stage_of_candidate(context, fit.candidate)
+    state.runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
+    state.accepted[-1] = dataclasses.replace(state.accepted[-1], runs=state.runs)
 
 
-def _beside(bench: Bench, growth: Growth, rival: Attempt, k: int, chain: Chain) -> Refit | None:
+def _beside(
+    context: SearchContext, state: SearchState, rival: Attempt, k: int, noise_model: NoiseModel
+) -> Refit | None:
     """A rival in the place of the k-th term, refitted from M, D, K of the model with all findings and from its own:
     laws differ in the stiffness that they take upon themselves."""
     term = next(t for t in rival.fit.candidate.terms if (t.effect.id, t.place.name) == rival.name)
-    terms = tuple(term if j == k else t for j, t in enumerate(growth.fit.candidate.terms))
-    options = {"held": bench.held, "max_steps": STEPS, "tolerance": ROUGH}
-    begun = (growth.fit.candidate, rival.fit.candidate)
-    fits = [refit(bench.simulator, begin.with_terms(terms), bench.data, chain, **options) for begin in begun]
+    terms = tuple(term if j == k else t for j, t in enumerate(state.fit.candidate.terms))
+    options = {"held": context.held, "max_steps": STEPS, "tolerance": ROUGH}
+    begun = (state.fit.candidate, rival.fit.candidate)
+    fits = [refit(context.simulator, begin.with_terms(terms), context.data, noise_model, **options) for begin in begun]
     best = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
     if best is None:
         return None
-    again = refit(bench.simulator, best.candidate, bench.data, chain, held=bench.held, max_steps=STEPS)
+    again = refit(context.simulator, best.candidate, context.data, noise_model, held=context.held, max_steps=STEPS)
     return best if again is None else again
 
 
-def _worth(bench: Bench, fit: Refit, chain: Chain) -> float:
-    cost, rows = evidence(*moving(bench, fit), bench.data[0], chain)
+def _worth(context: SearchContext, fit: Refit, noise_model: NoiseModel) -> float:
+    cost, rows = evidence(*moving(context, fit), context.data[0], noise_model)
     return float(rows * np.log(max(cost, 1e-300)))

@@ -8,239 +8,251 @@ from ...mechanics.effects.base import AbstractEffect
 from ...numerics.runtime import relieve
 from ...numerics.side_by_side import side_by_side
 from ..acceptance import at_its_bound, unsound
-from ..estimation.context import Bench, chain_of
+from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
 from ..estimation.significance import at_bound
 from ..findings import Move, Reason, Refusal, Rejected
 from ..model.candidate import Candidate, Data
 from ..model.held_out_gain import gain_of
-from ..noise.whitening import estimate_chain, white_chain
+from ..noise.whitening import estimate_noise_model, white_noise_model
 from ..screening.flexible_force import FlexibleForce
-from ..screening.linearization import Stage, look, look_closer
+from ..screening.linearization import Stage, screen_simulated, screen_smoothed
 from ..screening.score_test import Screening
 from ..screening.shortlist import adds_mode, listed_with, shortlist
-from ..settings import ACCEPTED, CLEAR, EXPLAINED
-from ..starts.equation_error import from_forces, heard
-from ..starts.force_matching import left_behind
-from ..starts.lookalikes import instead_of, unheard
+from ..settings import CLEAR_DELTA_BIC, MIN_DELTA_BIC, MIN_EXPLAINED_SHARE
+from ..starts.equation_error import force_equation_finds, from_forces
+from ..starts.force_matching import force_matched
+from ..starts.lookalikes import refit_look_alikes, untried_look_alikes
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
-from .acceptance import Evidence, floor_of, judged
+from .acceptance import Evidence, floor_of, tested
 from .backward import prune
 from .confusable import alike, look_alikes, needless, simplified
-from .final_swap import rejudge
-from .provisional import by_free_run, lend, lendable, withdraw
-from .state import Accepted, Growth, held_out_run, is_local, runs_seen, stage_of_candidate
+from .final_swap import swap_rivals
+from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
+from .state import Accepted, SearchState, held_out_run, is_local, runs_seen, stage_of_candidate
 
-SLIGHT = 0.02
+MIN_RESIDUAL_SHARE = 0.02
 """Share of what is left that the best effect must explain for "unexplained" to be said when no refit holds."""
 
-COMPARABLE = 0.3
+MIN_RELATIVE_MOTION = 0.3
 """Motion of held-out data relative to that of the fit from which they can refute coloured noise."""
 
-HALVED = 50.0
+MIN_GAIN_WHERE_LITTLE_MOVES = 50.0
 """Gain [%] on held-out data that refutes coloured noise where these move less."""
 
-SPARED = 3
+MAX_FREE_ROUNDS = 3
 """Rounds that but rule something out, and do not count."""
 
-BEHIND = 50.0
+MIN_DELTA_BIC_BEHIND_NOISE = 50.0
 """ΔBIC by measured motion from which an effect may hide behind noise at the forces."""
 
 
-def grow(
-    bench: Bench, start: Candidate, max_effects: int, *, errors: tuple[AbstractEffect, ...] = (), max_errors: int = 0
-) -> Growth:
+def select_forward(
+    context: SearchContext,
+    start: Candidate,
+    max_effects: int,
+    *,
+    errors: tuple[AbstractEffect, ...] = (),
+    max_errors: int = 0,
+) -> SearchState:
     """Extend a model until nothing more is found.
 
-    **Arguments:** `bench`; `start`: the model to begin with; `max_effects`; `errors`: effects to look for alone first,
-    at most `max_errors` of them (wrong numbers of a model that was given).
+    **Arguments:** `context`; `start`: the model to begin with; `max_effects`; `errors`: effects to look for alone
+    first, at most `max_errors` of them (wrong numbers of a model that was given).
 
-    **Returns:** a `Growth`.
+    **Returns:** a `SearchState`.
     """
-    first = stage_of_candidate(bench, start)
-    growth = Growth(first, first)
-    growth.baseline_runs = [held_out_run(bench, start, d) for d in bench.validation]
-    growth.runs = growth.baseline_runs
+    first = stage_of_candidate(context, start)
+    state = SearchState(first, first)
+    state.baseline_runs = [held_out_run(context, start, d) for d in context.validation]
+    state.runs = state.baseline_runs
     if errors:
-        extend(dataclasses.replace(bench, catalogue=errors), growth, max_errors, errors)
-    extend(bench, growth, max_effects, (*bench.catalogue, FlexibleForce()))
-    rejudge(bench, growth)
-    return growth
+        extend(dataclasses.replace(context, catalogue=errors), state, max_errors, errors)
+    extend(context, state, max_effects, (*context.catalogue, FlexibleForce()))
+    swap_rivals(context, state)
+    return state
 
 
-def extend(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEffect, ...]) -> None:
+def extend(context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]) -> None:
     """Rounds of looking and accepting, until nothing more is found or `most` effects were; what was only lent goes."""
-    _rounds(bench, growth, most, searched)
-    withdraw(growth)
+    _rounds(context, state, most, searched)
+    revert_provisional(state)
 
 
-def _rounds(bench: Bench, growth: Growth, most: int, searched: tuple[AbstractEffect, ...]) -> None:
-    turn, free = 0, SPARED
-    while (used := _round(beside_laws(bench, growth.stage), growth, most - turn, searched)) is not None:
+def _rounds(context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]) -> None:
+    turn, free = 0, MAX_FREE_ROUNDS
+    while (used := _round(beside_laws(context, state.stage), state, most - turn, searched)) is not None:
         turn, free = (turn, free - 1) if used == 0 and free else (turn + 1, free)
 
 
-def _round(bench: Bench, growth: Growth, left: int, searched: tuple[AbstractEffect, ...]) -> int | None:
+def _round(context: SearchContext, state: SearchState, left: int, searched: tuple[AbstractEffect, ...]) -> int | None:
     """One round, where so many effects may still be added: how many it took, 0 where it but ruled something out; None
     where nothing more is found."""
     relieve()
-    known, told_from = len(growth.accepted), growth.ruled_out
-    growth.stage = dataclasses.replace(growth.stage, ruled_out=growth.ruled_out)
-    bench.progress.stage("looking for effects" if known == 0 else f"looking further ({known} found)")
-    screening = look(growth.stage, bench.data[0], searched, bench.names, rng=bench.rng)
-    growth.screening = screening
-    growth.first = screening if growth.first is None else growth.first
-    growth.unexplained = screening.fires
-    if bench.out_of_step and not growth.stage.candidate.terms and heard(bench):
-        growth.unexplained = True
-        first = from_forces(bench, growth.stage, screening) if left > 0 else []
-        return 1 if _accepted(bench, growth, first, Move.FORCE_EQUATION) else None
+    known, told_from = len(state.accepted), state.ruled_out
+    state.stage = dataclasses.replace(state.stage, ruled_out=state.ruled_out)
+    context.progress.stage("looking for effects" if known == 0 else f"looking further ({known} found)")
+    screening = screen_simulated(state.stage, context.data[0], searched, context.names, rng=context.rng)
+    state.screening = screening
+    state.first = screening if state.first is None else state.first
+    state.unexplained = screening.fires
+    if context.out_of_step and not state.stage.candidate.terms and force_equation_finds(context):
+        state.unexplained = True
+        first = from_forces(context, state.stage, screening) if left > 0 else []
+        return 1 if _accepted(context, state, first, Move.FORCE_EQUATION) else None
     closer = None
     if not screening.fires and not _strong(screening):
-        closer = _behind_the_noise(bench, growth.stage, screening)
-        if closer is None and wrong_entries(bench, growth.stage, screening, least=CLEAR):
+        closer = _behind_the_noise(context, state.stage, screening)
+        if closer is None and wrong_entries(context, state.stage, screening, least=CLEAR_DELTA_BIC):
             # A run that is out of step shows no entry to first order, and all it leaves passes for noise at the forces.
-            closer = _closer(bench, growth.stage, screening)
+            closer = _closer(context, state.stage, screening)
         if closer is None:
             found = left > 0 and (
-                _accepted(bench, growth, hidden_modes(bench, growth.stage, screening), Move.HIDDEN_MODE)
-                or _accepted(bench, growth, from_forces(bench, growth.stage, screening), Move.FORCE_EQUATION)
+                _accepted(context, state, hidden_modes(context, state.stage, screening), Move.HIDDEN_MODE)
+                or _accepted(context, state, from_forces(context, state.stage, screening), Move.FORCE_EQUATION)
             )
             return 1 if found else None
     if left <= 0:
         return None
-    closer = _closer(bench, growth.stage, screening) if closer is None else closer
-    before = len(growth.rejected)
-    ranked = _refitted(bench, growth, screening, closer)
-    if _accepted(bench, growth, ranked):
+    closer = _closer(context, state.stage, screening) if closer is None else closer
+    before = len(state.rejected)
+    ranked = _refitted(context, state, screening, closer)
+    if _accepted(context, state, ranked):
         return 1
-    if growth.ruled_out != told_from:
+    if state.ruled_out != told_from:
         return 0
-    if _given_up(growth.rejected[before:], ranked):
+    if _given_up(state.rejected[before:], ranked):
         # Far behind laws that do not hold, and looked for under what these leave.
-        others = _without(bench, growth, searched, screening, ranked)
-        second = [] if others is None else _refitted(bench, growth, *others)
-        if _accepted(bench, growth, second, Move.SECOND_SCREENING):
+        others = _without(context, state, searched, screening, ranked)
+        second = [] if others is None else _refitted(context, state, *others)
+        if _accepted(context, state, second, Move.SECOND_SCREENING):
             return 1
-        ranked = compared(bench, growth.stage, ranked + second) if second else ranked
+        ranked = compared(context, state.stage, ranked + second) if second else ranked
     refitted = frozenset(attempt.name for attempt in ranked)
-    if _accepted(bench, growth, hidden_modes(bench, growth.stage, screening, refitted), Move.HIDDEN_MODE):
+    if _accepted(context, state, hidden_modes(context, state.stage, screening, refitted), Move.HIDDEN_MODE):
         return 1
-    white = dataclasses.replace(bench, white=True)
-    least = 100 * EXPLAINED if _moves(bench) else HALVED
-    free = _under_white_noise(white, growth, screening, ranked)
-    if _accepted(white, growth, free, Move.WHITE_NOISE, least=least, most=1):
+    white = dataclasses.replace(context, white=True)
+    least = 100 * MIN_EXPLAINED_SHARE if _moves(context) else MIN_GAIN_WHERE_LITTLE_MOVES
+    free = _under_white_noise(white, state, screening, ranked)
+    if _accepted(white, state, free, Move.WHITE_NOISE, least=least, most=1):
         return 1
-    if _accepted(bench, growth, _unsure(growth, ranked, before), Move.KNOWN_SHAPE, given_shape=True):
+    if _accepted(context, state, _unsure(state, ranked, before), Move.KNOWN_SHAPE, given_shape=True):
         return 1
-    refuted = screening.fires and _refuted(bench, growth, ranked, searched)
-    growth.unexplained = screening.fires and not refuted
+    refuted = screening.fires and _refuted(context, state, ranked, searched)
+    state.unexplained = screening.fires and not refuted
     # What is lent its place needs another round to redeem it.
-    return 1 if not refuted and left > 1 and _lent(bench, growth, ranked) else None
+    return 1 if not refuted and left > 1 and _provisional(context, state, ranked) else None
 
 
-def _closer(bench: Bench, stage: Stage, screening: Screening) -> Screening:
-    """The ranking under the chain of the gate, or under its own where that shows nothing."""
-    closer = look_closer(stage, bench.data[0], bench.catalogue, bench.names, screening.chain)
-    return closer if closer.shows else look_closer(stage, bench.data[0], bench.catalogue, bench.names)
+def _closer(context: SearchContext, stage: Stage, screening: Screening) -> Screening:
+    """The ranking under the noise model of the gate, or under its own where that shows nothing."""
+    closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names, screening.noise_model)
+    return closer if closer.shows else screen_smoothed(stage, context.data[0], context.catalogue, context.names)
 
 
-def _under_white_noise(bench: Bench, growth: Growth, screening: Screening, ranked: list[Attempt]) -> list[Attempt]:
+def _under_white_noise(
+    context: SearchContext, state: SearchState, screening: Screening, ranked: list[Attempt]
+) -> list[Attempt]:
     """Candidates refitted under white noise, best first, none without other data to judge them by; begun as any, and
     where they ended under the noise that was estimated (`ranked`).
 
     Where a second effect is missing, the noise model that is estimated passes most of the residual for coloured noise,
     and its criterion then asks what the noise is like and not what brings the free run nearer.
     """
-    stage, data = growth.stage, bench.data[0]
-    if not bench.validation or growth.credit is not None:
+    stage, data = state.stage, context.data[0]
+    if not context.validation or state.provisional is not None:
         return []
-    chain = white_chain(stage.e, data.kept, stage.system)
-    simulated = dataclasses.replace(screening, scores=screening.first, chain=chain)
-    closer = look_closer(stage, data, bench.catalogue, bench.names, chain, renewed=False)
+    noise_model = white_noise_model(stage.e, data.kept, stage.system)
+    simulated = dataclasses.replace(screening, scores=screening.first, noise_model=noise_model)
+    closer = screen_smoothed(stage, data, context.catalogue, context.names, noise_model, renewed=False)
 
     def again(attempt: Attempt) -> Attempt:
-        bench.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
-        return dataclasses.replace(by_free_run(bench, growth, attempt), chain=chain)
+        context.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
+        return dataclasses.replace(refit_for_free_run(context, state, attempt), noise_model=noise_model)
 
-    both = compared(bench, stage, _refitted(bench, growth, simulated, closer) + side_by_side(again, ranked))
+    both = compared(context, stage, _refitted(context, state, simulated, closer) + side_by_side(again, ranked))
     # Of two refits of one law the better.
     best = [a for k, a in enumerate(both) if a.name not in {better.name for better in both[:k]}]
     # A mode rings as coloured noise does.
-    lasting = [a for a in best if not is_local(bench, a.score.shape.effect) and not adds_mode(a.score.shape.effect)]
+    lasting = [a for a in best if not is_local(context, a.score.shape.effect) and not adds_mode(a.score.shape.effect)]
     # What coloured noise explains as well is no law: each model with the noise that it is estimated to leave.
-    own = dataclasses.replace(bench, white=False)
-    coloured = estimate_chain(stage.e, data.kept, stage.system, stage.force).cost
+    own = dataclasses.replace(context, white=False)
+    coloured = estimate_noise_model(stage.e, data.kept, stage.system, stage.force).cost
 
     def evident(attempt: Attempt) -> bool:
-        return coloured - chain_of(own, attempt.fit).cost - attempt.penalty >= ACCEPTED
+        return coloured - noise_model_of(own, attempt.fit).cost - attempt.penalty >= MIN_DELTA_BIC
 
-    clear = (a for a in lasting if a.delta_bic > CLEAR and unresolved(a.fit, a.score) is None)
+    clear = (a for a in lasting if a.delta_bic > CLEAR_DELTA_BIC and unresolved(a.fit, a.score) is None)
     return [attempt for attempt in clear if evident(attempt)]
 
 
-def _moves(bench: Bench) -> bool:
+def _moves(context: SearchContext) -> bool:
     """Whether some held-out data move at every output about as the data of the fit do."""
 
     def size(data: Data) -> np.ndarray:
         y = np.where(data.kept, data.y, np.nan)[: data.samples]
         return np.nanstd(y, axis=0)
 
-    return any(np.all(size(held) >= COMPARABLE * size(bench.data[0])) for held in bench.validation)
+    return any(np.all(size(held) >= MIN_RELATIVE_MOTION * size(context.data[0])) for held in context.validation)
 
 
 def _without(
-    bench: Bench, growth: Growth, searched, screening: Screening, ranked: list[Attempt]
+    context: SearchContext, state: SearchState, searched, screening: Screening, ranked: list[Attempt]
 ) -> tuple[Screening, Screening] | None:
     """The gate and the ranking without laws that were refitted and do not hold; None where nothing else is seen."""
     failed = {attempt.name[0] for attempt in ranked}
     shapes = (score.shape for score in screening.scores)
     gone = frozenset((s.effect.id, s.place.name) for s in shapes if s.effect.id in failed)
-    stage = dataclasses.replace(growth.stage, ruled_out=growth.ruled_out | gone)
-    screening = look(stage, bench.data[0], searched, bench.names, rng=bench.rng)
-    return (screening, _closer(bench, stage, screening)) if screening.fires else None
+    stage = dataclasses.replace(state.stage, ruled_out=state.ruled_out | gone)
+    screening = screen_simulated(stage, context.data[0], searched, context.names, rng=context.rng)
+    return (screening, _closer(context, stage, screening)) if screening.fires else None
 
 
 def _strong(screening: Screening) -> bool:
-    """Whether some candidate takes most of what is left, though the chain could pass it off as noise at the forces."""
+    """Whether some candidate takes most of what is left, though the noise model could pass it off as noise at the
+    forces."""
     best = screening.first[0] if screening.first else None
-    if best is None or best.delta_bic < CLEAR:
+    if best is None or best.delta_bic < CLEAR_DELTA_BIC:
         return False
     return 1 - np.exp(-best.ratio / screening.rows) > 0.3
 
 
-def _behind_the_noise(bench: Bench, stage: Stage, screening: Screening) -> Screening | None:
+def _behind_the_noise(context: SearchContext, stage: Stage, screening: Screening) -> Screening | None:
     """The ranking by measured motion where the gate is silent only because noise at the forces takes all; None where
     that shows nothing either.
 
-    At large amplitudes the simulated motion is too far off for its features to count, and the chain then swallows the
-    effect. What is found so must still hold on data that the fit has not seen.
+    At large amplitudes the simulated motion is too far off for its features to count, and the noise model then swallows
+    the effect. What is found so must still hold on data that the fit has not seen.
     """
-    if screening.chain.ratio == 0.0:
+    if screening.noise_model.ratio == 0.0:
         return None
-    closer = look_closer(stage, bench.data[0], bench.catalogue, bench.names)
-    return closer if closer.scores and closer.scores[0].delta_bic > BEHIND else None
+    closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names)
+    return closer if closer.scores and closer.scores[0].delta_bic > MIN_DELTA_BIC_BEHIND_NOISE else None
 
 
-def _refuted(bench: Bench, growth: Growth, ranked: list[Attempt], searched: tuple[AbstractEffect, ...]) -> bool:
+def _refuted(
+    context: SearchContext, state: SearchState, ranked: list[Attempt], searched: tuple[AbstractEffect, ...]
+) -> bool:
     """Whether the gate was wrong: it sees effects to first order, and none of those refitted holds.
 
     It must have opened to next to nothing, or barely, or stay shut under the noise that the best refit leaves: where it
     took noise at the forces for white, every effect seemed to explain some of it.
     """
-    best = growth.screening.scores[0]
-    if 1 - np.exp(-best.ratio / growth.screening.rows) < SLIGHT:
+    best = state.screening.scores[0]
+    if 1 - np.exp(-best.ratio / state.screening.rows) < MIN_RESIDUAL_SHARE:
         return True
-    if not ranked or any(attempt.delta_bic >= ACCEPTED for attempt in ranked):
+    if not ranked or any(attempt.delta_bic >= MIN_DELTA_BIC for attempt in ranked):
         return False
-    if best.delta_bic < 2 * growth.screening.threshold:
+    if best.delta_bic < 2 * state.screening.threshold:
         return True
-    chain = ranked[0].chain
-    again = look(growth.stage, bench.data[0], searched, bench.names, chain=chain, rng=bench.rng)
-    if again.fires or again.chain.ratio == 0.0:
+    noise_model = ranked[0].noise_model
+    again = screen_simulated(
+        state.stage, context.data[0], searched, context.names, noise_model=noise_model, rng=context.rng
+    )
+    if again.fires or again.noise_model.ratio == 0.0:
         return False
-    growth.screening = again
+    state.screening = again
     return True
 
 
@@ -250,40 +262,40 @@ def _given_up(rejected: list[Rejected], ranked: list[Attempt]) -> set[tuple[str,
     return behind - {attempt.name for attempt in ranked}
 
 
-def _refitted(bench: Bench, growth: Growth, screening: Screening, closer: Screening) -> list[Attempt]:
+def _refitted(context: SearchContext, state: SearchState, screening: Screening, closer: Screening) -> list[Attempt]:
     """The most promising candidates and what is easily taken for the best of them, refitted, best first."""
-    stage, before = growth.stage, len(growth.rejected)
-    chain = closer.chain if closer.shows else white_chain(stage.e, bench.data[0].kept, stage.system)
-    listed = listed_with(shortlist(screening, closer), wrong_entries(bench, stage, screening))
-    attempts = attempts_of(bench, stage, listed, chain, growth.rejected)
-    ranked = compared(bench, stage, list(attempts.values()))
-    if forced := from_forces(bench, stage, screening):
-        both = compared(bench, stage, ranked + forced)
+    stage, before = state.stage, len(state.rejected)
+    noise_model = closer.noise_model if closer.shows else white_noise_model(stage.e, context.data[0].kept, stage.system)
+    listed = listed_with(shortlist(screening, closer), wrong_entries(context, stage, screening))
+    attempts = attempts_of(context, stage, listed, noise_model, state.rejected)
+    ranked = compared(context, stage, list(attempts.values()))
+    if forced := from_forces(context, stage, screening):
+        both = compared(context, stage, ranked + forced)
         # Of two refits of one law the better.
         ranked = [a for k, a in enumerate(both) if a.name not in {better.name for better in both[:k]}]
     if ranked:
-        tried = {a.name for a in ranked} | {(one.effect, one.location) for one in growth.rejected[before:]}
-        ids = look_alikes(ranked[0].score.shape.effect, bench.catalogue) - {effect for effect, _ in tried}
-        others = unheard(ids, screening, closer, tried)
-        late = instead_of(bench, stage, ranked[0], others, growth.rejected)
-        behind = _given_up(growth.rejected[before:], ranked)
-        late += left_behind(bench, stage, ranked[0], behind, (closer, screening), growth.rejected)
-        ranked = compared(bench, stage, ranked + late) if late else ranked
+        tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}
+        ids = look_alikes(ranked[0].score.shape.effect, context.catalogue) - {effect for effect, _ in tried}
+        others = untried_look_alikes(ids, screening, closer, tried)
+        late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
+        behind = _given_up(state.rejected[before:], ranked)
+        late += force_matched(context, stage, ranked[0], behind, (closer, screening), state.rejected)
+        ranked = compared(context, stage, ranked + late) if late else ranked
     ranked = simplified(ranked)
-    growth.tried |= {attempt.name: attempt.fit for attempt in ranked}
+    state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
 
 
-def _unsure(growth: Growth, ranked: list[Attempt], since: int) -> list[Attempt]:
+def _unsure(state: SearchState, ranked: list[Attempt], since: int) -> list[Attempt]:
     """Candidates that were refused in this round for the error of their size alone; they are no longer refused."""
-    names = {(one.effect, one.location) for one in growth.rejected[since:] if one.reason is Reason.UNCERTAIN}
-    growth.rejected[since:] = [one for one in growth.rejected[since:] if one.reason is not Reason.UNCERTAIN]
+    names = {(one.effect, one.location) for one in state.rejected[since:] if one.reason is Reason.UNCERTAIN}
+    state.rejected[since:] = [one for one in state.rejected[since:] if one.reason is not Reason.UNCERTAIN]
     return [attempt for attempt in ranked if attempt.name in names]
 
 
 def _accepted(
-    bench: Bench,
-    growth: Growth,
+    context: SearchContext,
+    state: SearchState,
     ranked: list[Attempt],
     move: Move = Move.SCORE_TEST,
     *,
@@ -295,10 +307,10 @@ def _accepted(
 
     `given_shape`: with the errors that sizes have beside a shape that is known.
     """
-    floor, unsure = floor_of(bench, ranked), []
+    floor, unsure = floor_of(context, ranked), []
     for k, attempt in enumerate(ranked[:most]):
-        bench.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
-        why, gain, runs = judged(bench, growth, attempt, floor, given_shape)
+        context.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
+        why, gain, runs = tested(context, state, attempt, floor, given_shape)
         if why is None and gain.ci99_lower < least:
             words = f"coloured noise could do the same, and no more than {gain.ci99_lower:.0f} % is a sure gain"
             why = Refusal(Reason.NO_SURE_GAIN, words)
@@ -306,39 +318,39 @@ def _accepted(
             rivals, refused = _class_of(attempt, unsure + ranked[k + 1 :])
             # What was refused for its error alone, and explains as much or more, may be it all the same.
             names = {rival.name for rival in rivals}
-            growth.rejected = [one for one in growth.rejected if (one.effect, one.location) not in names] + refused
-            _take(bench, growth, Accepted(attempt, rivals, gain, runs, move))
+            state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names] + refused
+            _take(context, state, Accepted(attempt, rivals, gain, runs, move))
             return True
-        growth.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
+        state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
         unsure += [attempt] if why.reason is Reason.UNCERTAIN else []
     return False
 
 
-def _take(bench: Bench, growth: Growth, accepted: Accepted) -> None:
+def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> None:
     """Go on with a finding that holds, and with those on credit that it redeems."""
-    growth.accepted.append(accepted)
-    growth.fit, growth.runs = accepted.attempt.fit, accepted.runs
-    growth.stage = stage_of_candidate(bench, growth.fit.candidate)
-    growth.unexplained, growth.credit = False, None
-    names = {one.attempt.name for one in growth.accepted}
-    growth.rejected = [one for one in growth.rejected if (one.effect, one.location) not in names]
-    prune(bench, growth)
+    state.accepted.append(accepted)
+    state.fit, state.runs = accepted.attempt.fit, accepted.runs
+    state.stage = stage_of_candidate(context, state.fit.candidate)
+    state.unexplained, state.provisional = False, None
+    names = {one.attempt.name for one in state.accepted}
+    state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
+    prune(context, state)
 
 
-def _lent(bench: Bench, growth: Growth, ranked: list[Attempt]) -> bool:
+def _provisional(context: SearchContext, state: SearchState, ranked: list[Attempt]) -> bool:
     """Whether to go on with the best candidate that nothing but its gain speaks against: it holds refitted for the free
     run, or is lent its place."""
-    if not lendable(growth, ranked):
+    if not may_be_provisional(state, ranked):
         return False
-    floor = floor_of(bench, ranked)
+    floor = floor_of(context, ranked)
     for k, attempt in enumerate(ranked):
-        if attempt.delta_bic > CLEAR and unsound(Evidence(bench, growth, attempt, floor)) is None:
-            rivals, free = _class_of(attempt, ranked[k + 1 :])[0], by_free_run(bench, growth, attempt)
-            why, gain, runs = judged(bench, growth, free, floor)
+        if attempt.delta_bic > CLEAR_DELTA_BIC and unsound(Evidence(context, state, attempt, floor)) is None:
+            rivals, free = _class_of(attempt, ranked[k + 1 :])[0], refit_for_free_run(context, state, attempt)
+            why, gain, runs = tested(context, state, free, floor)
             if why is None:
-                _take(bench, growth, Accepted(free, rivals, gain, runs, Move.WITH_ANOTHER))
+                _take(context, state, Accepted(free, rivals, gain, runs, Move.WITH_ANOTHER))
             else:
-                lend(bench, growth, attempt, free, rivals, floor)
+                accept_provisionally(context, state, attempt, free, rivals, floor)
             return True
     return False
 
@@ -367,14 +379,14 @@ def _class_of(attempt: Attempt, others: list[Attempt]) -> tuple[tuple[Attempt, .
     return tuple(rivals[:3]), refused
 
 
-def recount(bench: Bench, growth: Growth, floor: np.ndarray) -> None:
+def recount(context: SearchContext, state: SearchState, floor: np.ndarray) -> None:
     """Gains that add up: of every finding over what the findings before it leave, in units of one noise floor."""
-    before, left = growth.baseline_runs, growth.start.e
-    for k, accepted in enumerate(growth.accepted):
+    before, left = state.baseline_runs, state.start.e
+    for k, accepted in enumerate(state.accepted):
         now = accepted.attempt.fit.residual[0]
         if accepted.gain.held_out:
-            seen, runs = runs_seen(bench, left, now, growth.start.e), (before, accepted.runs, growth.baseline_runs)
-            gain = gain_of(*runs, floor, bench.names[1], held_out=True, rng=bench.rng, seen=seen)
-            growth.accepted[k] = dataclasses.replace(accepted, gain=gain)
+            seen, runs = runs_seen(context, left, now, state.start.e), (before, accepted.runs, state.baseline_runs)
+            gain = gain_of(*runs, floor, context.names[1], held_out=True, rng=context.rng, seen=seen)
+            state.accepted[k] = dataclasses.replace(accepted, gain=gain)
             before = accepted.runs
         left = now

@@ -11,15 +11,15 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
-from ..estimation.context import Bench, chain_of
+from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, settled
 from ..estimation.gauss_newton import Refit, refit
 from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
-from ..noise.whitening import white_chain
-from ..screening.linearization import look
-from .forward import SLIGHT, extend, grow
-from .state import Growth, held_out_run, stage_of_candidate
+from ..noise.whitening import white_noise_model
+from ..screening.linearization import screen_simulated
+from .forward import MIN_RESIDUAL_SHARE, extend, select_forward
+from .state import SearchState, held_out_run, stage_of_candidate
 
 PART = 8192
 """Samples of each record that the search begins with."""
@@ -35,44 +35,44 @@ STEPS = 10
 
 
 def search(
-    bench: Bench, baseline: Baseline, max_effects: int, *, errors: tuple[AbstractEffect, ...] = ()
-) -> tuple[Growth, str | None]:
+    context: SearchContext, baseline: Baseline, max_effects: int, *, errors: tuple[AbstractEffect, ...] = ()
+) -> tuple[SearchState, str | None]:
     """Extend the baseline until nothing more is found, on parts of long records first.
 
-    **Arguments:** `bench`; `baseline`; `max_effects`; `errors`: as for `grow`, where numbers of a given model may be
-    wrong: the whole record is then searched.
+    **Arguments:** `context`; `baseline`; `max_effects`; `errors`: as for `select_forward`, where numbers of a given
+    model may be wrong: the whole record is then searched.
 
     **Returns:** how far the search got, on the whole records; what it worked on, where that was a part.
     """
     start, size = baseline.start, PART
-    while not errors and bench.data[0].samples > LONG * size:
-        part, begun, where = _part(bench, baseline, size)
-        growth = grow(part, begun, max_effects)
-        if growth.accepted:
-            whole = _carried_over(bench, start, growth)
+    while not errors and context.data[0].samples > LONG * size:
+        part, begun, where = _part(context, baseline, size)
+        state = select_forward(part, begun, max_effects)
+        if state.accepted:
+            whole = _carried_over(context, start, state)
             if whole is not None:
-                _tied_to_clock(bench, whole, max_effects)
+                _tied_to_clock(context, whole, max_effects)
                 return whole, where
-        if growth.unexplained:
+        if state.unexplained:
             break
         size *= LONGER
-    return grow(bench, start, max_effects, errors=errors, max_errors=len(start.entries)), None
+    return select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries)), None
 
 
-def _part(bench: Bench, baseline: Baseline, size: int) -> tuple[Bench, Candidate, str]:
-    """The bench with the liveliest part of every record, the baseline with its first states there, and which part."""
-    lasting = tuple(effect for effect in bench.catalogue if not effect.tied_to_clock)
-    begins = [_liveliest(d, size) for d in bench.data]
-    data = [_cut(d, begin, size) for d, begin in zip(bench.data, begins)]
-    held = [_cut(d, _liveliest(d, size), size) for d in bench.validation]
+def _part(context: SearchContext, baseline: Baseline, size: int) -> tuple[SearchContext, Candidate, str]:
+    """The context with the liveliest part of every record, the baseline with its first states there, and which part."""
+    lasting = tuple(effect for effect in context.catalogue if not effect.tied_to_clock)
+    begins = [_liveliest(d, size) for d in context.data]
+    data = [_cut(d, begin, size) for d, begin in zip(context.data, begins)]
+    held = [_cut(d, _liveliest(d, size), size) for d in context.validation]
     model = baseline.model
     states = []
     for d in data:
         y = np.where(d.kept, d.y, np.nan)
         states.append(initial_state(model, d.u, y, d.sampling_time, hold=d.hold)[0])
-    begin, end = begins[0], min(begins[0] + size, bench.data[0].samples)
-    where = f"The search worked on samples {begin + 1} to {end} of {bench.data[0].samples}"
-    part = dataclasses.replace(bench, data=data, validation=held, catalogue=lasting)
+    begin, end = begins[0], min(begins[0] + size, context.data[0].samples)
+    where = f"The search worked on samples {begin + 1} to {end} of {context.data[0].samples}"
+    part = dataclasses.replace(context, data=data, validation=held, catalogue=lasting)
     return part, Candidate(baseline.start.entries, tuple(states)), where
 
 
@@ -97,56 +97,56 @@ def _cut(data: Data, begin: int, size: int) -> Data:
     return dataclasses.replace(data, **arrays, samples=size)
 
 
-def _carried_over(bench: Bench, start: Candidate, part: Growth) -> Growth | None:
+def _carried_over(context: SearchContext, start: Candidate, part: SearchState) -> SearchState | None:
     """What was found on a part, refitted on the whole records one finding after the other; None where one of the refits
     cannot be simulated."""
-    first = stage_of_candidate(bench, start)
-    whole = Growth(first, first)
-    whole.baseline_runs = whole.runs = [held_out_run(bench, start, d) for d in bench.validation]
+    first = stage_of_candidate(context, start)
+    whole = SearchState(first, first)
+    whole.baseline_runs = whole.runs = [held_out_run(context, start, d) for d in context.validation]
     whole.rejected, whole.tried, whole.unexplained = part.rejected, part.tried, part.unexplained
     whole.screening, whole.first, whole.ruled_out = part.screening, part.first, part.ruled_out
     for k, accepted in enumerate(part.accepted):
-        bench.progress.stage(f"refitting {accepted.attempt.name[0]} on the whole record")
+        context.progress.stage(f"refitting {accepted.attempt.name[0]} on the whole record")
         last = k == len(part.accepted) - 1
         found = part.fit if last else accepted.attempt.fit
         terms = found.candidate.terms[: k + 1]
-        fit = _refitted(bench, Candidate(found.candidate.entries, start.x0, terms), first)
+        fit = _refitted(context, Candidate(found.candidate.entries, start.x0, terms), first)
         if fit is None:
             return None
-        runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
+        runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
         attempt = dataclasses.replace(accepted.attempt, fit=fit)
         whole.accepted.append(dataclasses.replace(accepted, attempt=attempt, runs=runs))
         whole.fit, whole.runs = fit, runs
-    whole.stage = stage_of_candidate(bench, whole.fit.candidate)
+    whole.stage = stage_of_candidate(context, whole.fit.candidate)
     return whole
 
 
-def _refitted(bench: Bench, candidate: Candidate, first) -> Refit | None:
+def _refitted(context: SearchContext, candidate: Candidate, first) -> Refit | None:
     """Under white noise first, which brings the first states into place, then under that of what is left."""
-    white = white_chain(first.e, bench.data[0].kept, first.system)
-    options = {"held": bench.held, "max_steps": STEPS, "tolerance": ROUGH}
-    fit = refit(bench.simulator, candidate, bench.data, white, **options)
+    white = white_noise_model(first.e, context.data[0].kept, first.system)
+    options = {"held": context.held, "max_steps": STEPS, "tolerance": ROUGH}
+    fit = refit(context.simulator, candidate, context.data, white, **options)
     if fit is None:
         return None
-    chain = chain_of(bench, fit)
-    again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=STEPS)
-    return fit if again is None else settled(bench, again, chain)
+    noise_model = noise_model_of(context, fit)
+    again = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=STEPS)
+    return fit if again is None else settled(context, again, noise_model)
 
 
-def _tied_to_clock(bench: Bench, growth: Growth, max_effects: int) -> None:
+def _tied_to_clock(context: SearchContext, state: SearchState, max_effects: int) -> None:
     """Look in the whole records for what belongs to the clock of one, which no part of it shows."""
-    tied = tuple(effect for effect in bench.catalogue if effect.tied_to_clock)
-    most, known = max_effects - len(growth.accepted), len(growth.accepted)
+    tied = tuple(effect for effect in context.catalogue if effect.tied_to_clock)
+    most, known = max_effects - len(state.accepted), len(state.accepted)
     if not tied or most <= 0:
         return
-    bench.progress.stage("looking for what belongs to the clock of the record")
-    seen = look(growth.stage, bench.data[0], tied, bench.names, surrogates=0)
+    context.progress.stage("looking for what belongs to the clock of the record")
+    seen = screen_simulated(state.stage, context.data[0], tied, context.names, surrogates=0)
     best = seen.best_by_effect()
     # In so many samples the least misfit is significant: it must also be of some size.
-    sized = tuple(e for e in tied if e.id in best and 1 - np.exp(-best[e.id].ratio / seen.rows) >= SLIGHT)
+    sized = tuple(e for e in tied if e.id in best and 1 - np.exp(-best[e.id].ratio / seen.rows) >= MIN_RESIDUAL_SHARE)
     if not sized:
         return
-    unexplained, screening = growth.unexplained, growth.screening
-    extend(dataclasses.replace(bench, catalogue=sized), growth, most, sized)
-    if len(growth.accepted) == known:
-        growth.unexplained, growth.screening = unexplained, screening
+    unexplained, screening = state.unexplained, state.screening
+    extend(dataclasses.replace(context, catalogue=sized), state, most, sized)
+    if len(state.accepted) == known:
+        state.unexplained, state.screening = unexplained, screening

@@ -15,13 +15,13 @@ from ...identification.start import nearest_physical
 from ...mechanics.simulate import initial_state
 from ...numerics.outcomes import ComputationError
 from ...records import Record
-from ..estimation.context import Bench, chain_of
+from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit, refit
 from ..model.candidate import Candidate
 from ..model.held_out_gain import gain_of
 from ..noise.floor import residual_rms
-from ..noise.whitening import white_chain
-from .state import Growth, held_out_run, runs_seen, stage_of_candidate
+from ..noise.whitening import white_noise_model
+from .state import SearchState, held_out_run, runs_seen, stage_of_candidate
 
 POOR = 80.0
 """Fit [%] of the linear model on the estimation record below which another beginning is tried."""
@@ -32,48 +32,52 @@ BETTER = 0.95
 STEPS = 40
 
 
-def from_other_modes(bench: Bench, growth: Growth, identification: Identification, records: list[Record]) -> None:
+def from_other_modes(
+    context: SearchContext, state: SearchState, identification: Identification, records: list[Record]
+) -> None:
     """Refit a model with one effect from the record's own modes, and keep it where it leaves less.
 
-    **Arguments:** `bench`; `growth`: changed in place; `identification`: where it began; `records`.
+    **Arguments:** `context`; `state`: changed in place; `identification`: where it began; `records`.
     """
-    if len(growth.accepted) != 1 or min(identification.fit_percent["estimation"].values()) > POOR:
+    if len(state.accepted) != 1 or min(identification.fit_percent["estimation"].values()) > POOR:
         return
     scaling = identification.scaling
     try:
         start = modal_start([prepare(r, scaling) for r in records], identification.setting)
     except ComputationError:
         return
-    bench.progress.stage("refitting from other modes")
+    context.progress.stage("refitting from other modes")
     matrices = scaling.matrices_out(*nearest_physical(start.matrices))
     model = identification.model.with_matrices(*matrices)
     states = tuple(initial_state(model, r.u, r.y, r.sampling_time, hold=r.hold)[0] for r in records)
-    moved = Candidate(bench.simulator.setup.entries_of(*matrices), states).with_terms(growth.fit.candidate.terms)
-    fit = _refitted(bench, growth, moved)
-    if fit is None or not _left(bench, fit) < np.log(BETTER) + _left(bench, growth.fit):
+    moved = Candidate(context.simulator.setup.entries_of(*matrices), states).with_terms(state.fit.candidate.terms)
+    fit = _refitted(context, state, moved)
+    if fit is None or not _left(context, fit) < np.log(BETTER) + _left(context, state.fit):
         return
-    growth.fit, growth.stage = fit, stage_of_candidate(bench, fit.candidate)
-    last = growth.accepted[0]
-    held_out, data = last.gain.held_out, bench.data[0]
-    runs = seen = runs_seen(bench, growth.start.e, fit.residual[0], growth.start.e)
+    state.fit, state.stage = fit, stage_of_candidate(context, fit.candidate)
+    last = state.accepted[0]
+    held_out, data = last.gain.held_out, context.data[0]
+    runs = seen = runs_seen(context, state.start.e, fit.residual[0], state.start.e)
     if held_out:
-        growth.runs = [held_out_run(bench, fit.candidate, d) for d in bench.validation]
-        runs = growth.baseline_runs, growth.runs, growth.baseline_runs
-    floor = residual_rms(fit.residual[0], data) if bench.floor is None else bench.floor
-    gain = gain_of(*runs, floor, bench.names[1], held_out=held_out, rng=bench.rng, seen=seen)
+        state.runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
+        runs = state.baseline_runs, state.runs, state.baseline_runs
+    floor = residual_rms(fit.residual[0], data) if context.floor is None else context.floor
+    gain = gain_of(*runs, floor, context.names[1], held_out=held_out, rng=context.rng, seen=seen)
     attempt = dataclasses.replace(last.attempt, fit=fit)
-    growth.accepted[0] = dataclasses.replace(last, attempt=attempt, gain=gain, runs=growth.runs)
+    state.accepted[0] = dataclasses.replace(last, attempt=attempt, gain=gain, runs=state.runs)
 
 
-def _refitted(bench: Bench, growth: Growth, candidate: Candidate) -> Refit | None:
+def _refitted(context: SearchContext, state: SearchState, candidate: Candidate) -> Refit | None:
     """To the end: under white noise first, so that what is still far off does not pass for noise at the forces."""
-    chain = white_chain(growth.stage.e, bench.data[0].kept, growth.stage.system)
-    fit = refit(bench.simulator, candidate, bench.data, chain, held=bench.held, max_steps=STEPS)
+    noise_model = white_noise_model(state.stage.e, context.data[0].kept, state.stage.system)
+    fit = refit(context.simulator, candidate, context.data, noise_model, held=context.held, max_steps=STEPS)
     if fit is None:
         return None
-    return refit(bench.simulator, fit.candidate, bench.data, chain_of(bench, fit), held=bench.held, max_steps=STEPS)
+    return refit(
+        context.simulator, fit.candidate, context.data, noise_model_of(context, fit), held=context.held, max_steps=STEPS
+    )
 
 
-def _left(bench: Bench, fit: Refit) -> float:
+def _left(context: SearchContext, fit: Refit) -> float:
     """Mean logarithm of the residual over outputs and records."""
-    return float(np.mean([np.log(residual_rms(e, d)) for e, d in zip(fit.residual, bench.data)]))
+    return float(np.mean([np.log(residual_rms(e, d)) for e, d in zip(fit.residual, context.data)]))

@@ -9,15 +9,15 @@ import dataclasses
 
 import numpy as np
 
-from ..estimation.context import Bench
+from ..estimation.context import SearchContext
 from ..estimation.gauss_newton import refit
 from ..estimation.multistart import Attempt
 from ..estimation.profile_scan import something_left
 from ..findings import Move
 from ..model.held_out_gain import gain_of
-from ..noise.whitening import white_chain
-from ..settings import CLEAR
-from .state import Accepted, Credit, Growth, held_out_run, is_local, runs_seen, stage_of_candidate
+from ..noise.whitening import white_noise_model
+from ..settings import CLEAR_DELTA_BIC
+from .state import Accepted, Provisional, SearchState, held_out_run, is_local, runs_seen, stage_of_candidate
 
 LOANS = 2
 """Findings that may be lent their place at a time."""
@@ -26,51 +26,55 @@ STEPS = 20
 """Of the refit for the free run."""
 
 
-def lendable(growth: Growth, ranked: list[Attempt]) -> bool:
+def may_be_provisional(state: SearchState, ranked: list[Attempt]) -> bool:
     """Whether a finding may be lent its place: something is clearly there, under noise that another effect may be."""
-    lent = 0 if growth.credit is None else len(growth.accepted) - growth.credit.sure
-    if not ranked or lent >= LOANS or not ranked[0].delta_bic > CLEAR:
+    lent = 0 if state.provisional is None else len(state.accepted) - state.provisional.sure
+    if not ranked or lent >= LOANS or not ranked[0].delta_bic > CLEAR_DELTA_BIC:
         return False
-    return something_left(ranked[0].chain)
+    return something_left(ranked[0].noise_model)
 
 
-def by_free_run(bench: Bench, growth: Growth, attempt: Attempt) -> Attempt:
+def refit_for_free_run(context: SearchContext, state: SearchState, attempt: Attempt) -> Attempt:
     """An attempt refitted for the free run alone, from the model without it and from where it is."""
-    sure, data = growth.sure, bench.data[0]
-    begin = sure.candidate if growth.credit is None else growth.accepted[-1].attempt.fit.candidate
-    chain = white_chain(sure.e, data.kept, sure.system)
+    sure, data = state.sure, context.data[0]
+    begin = sure.candidate if state.provisional is None else state.accepted[-1].attempt.fit.candidate
+    noise_model = white_noise_model(sure.e, data.kept, sure.system)
     term = attempt.fit.candidate.terms[-1]
     fit = None
     for start in (begin.with_terms((*begin.terms, term)), attempt.fit.candidate):
         abandon = np.inf if fit is None else fit.cost
-        found = refit(bench.simulator, start, bench.data, chain, held=bench.held, max_steps=STEPS, abandon=abandon)
+        found = refit(
+            context.simulator, start, context.data, noise_model, held=context.held, max_steps=STEPS, abandon=abandon
+        )
         if found is not None and (fit is None or found.cost < fit.cost):
             fit = found
     return attempt if fit is None else dataclasses.replace(attempt, fit=fit)
 
 
-def lend(bench: Bench, growth: Growth, attempt: Attempt, free: Attempt, rivals: tuple[Attempt, ...], floor) -> None:
+def accept_provisionally(
+    context: SearchContext, state: SearchState, attempt: Attempt, free: Attempt, rivals: tuple[Attempt, ...], floor
+) -> None:
     """Go on with a finding that has no sure gain yet; `free` is it refitted for the free run, which its gain is of."""
-    before, old = growth.runs, growth.stage.e
-    if growth.credit is None:
-        sure = len(growth.accepted)
-        growth.credit = Credit(growth.stage, growth.fit, growth.screening, growth.unexplained, sure)
+    before, old = state.runs, state.stage.e
+    if state.provisional is None:
+        sure = len(state.accepted)
+        state.provisional = Provisional(state.stage, state.fit, state.screening, state.unexplained, sure)
     else:
-        before, old = growth.accepted[-1].runs, growth.accepted[-1].attempt.fit.residual[0]
-    held_out = not is_local(bench, attempt.score.shape.effect) and bool(bench.validation)
-    runs = [held_out_run(bench, free.fit.candidate, d) for d in bench.validation] if held_out else before
-    seen = runs_seen(bench, old, free.fit.residual[0], growth.start.e)
-    pairs = (before, runs, growth.baseline_runs) if held_out else seen
-    gain = gain_of(*pairs, floor, bench.names[1], held_out=held_out, rng=bench.rng, seen=seen)
-    growth.accepted.append(Accepted(free, rivals, gain, runs, Move.WITH_ANOTHER))
-    growth.fit, growth.stage = attempt.fit, stage_of_candidate(bench, attempt.fit.candidate)
+        before, old = state.accepted[-1].runs, state.accepted[-1].attempt.fit.residual[0]
+    held_out = not is_local(context, attempt.score.shape.effect) and bool(context.validation)
+    runs = [held_out_run(context, free.fit.candidate, d) for d in context.validation] if held_out else before
+    seen = runs_seen(context, old, free.fit.residual[0], state.start.e)
+    pairs = (before, runs, state.baseline_runs) if held_out else seen
+    gain = gain_of(*pairs, floor, context.names[1], held_out=held_out, rng=context.rng, seen=seen)
+    state.accepted.append(Accepted(free, rivals, gain, runs, Move.WITH_ANOTHER))
+    state.fit, state.stage = attempt.fit, stage_of_candidate(context, attempt.fit.candidate)
 
 
-def withdraw(growth: Growth) -> None:
+def revert_provisional(state: SearchState) -> None:
     """Take back what was lent and never redeemed."""
-    credit, growth.credit = growth.credit, None
-    if credit is None:
+    provisional, state.provisional = state.provisional, None
+    if provisional is None:
         return
-    del growth.accepted[credit.sure :]
-    growth.stage, growth.fit = credit.stage, credit.fit
-    growth.screening, growth.unexplained = credit.screening, credit.unexplained
+    del state.accepted[provisional.sure :]
+    state.stage, state.fit = provisional.stage, provisional.fit
+    state.screening, state.unexplained = provisional.screening, provisional.unexplained

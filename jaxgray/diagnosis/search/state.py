@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
-from ..estimation.context import Bench
+from ..estimation.context import SearchContext
 from ..estimation.gauss_newton import Refit
 from ..estimation.multistart import Attempt
 from ..findings import Gain, Move, Rejected
@@ -34,7 +34,7 @@ class Accepted:
 
 
 @dataclass(frozen=True)
-class Credit:
+class Provisional:
     """Where the loop was before findings were lent their place: `stage`, its `fit`, the `screening` there, whether it
     left something `unexplained`, and how many findings were `sure`."""
 
@@ -46,7 +46,7 @@ class Credit:
 
 
 @dataclass
-class Growth:
+class SearchState:
     """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
     tried, the last look, what is no longer looked for, and what the last findings owe."""
 
@@ -62,33 +62,33 @@ class Growth:
     ruled_out: frozenset = frozenset()
     baseline_runs: list[FreeRun] = field(default_factory=list)
     runs: list[FreeRun] = field(default_factory=list)
-    credit: Credit | None = None
+    provisional: Provisional | None = None
 
     @property
     def sure(self) -> Stage:
         """The model without findings on credit."""
-        return self.stage if self.credit is None else self.credit.stage
+        return self.stage if self.provisional is None else self.provisional.stage
 
 
-def stage_of_candidate(bench: Bench, candidate: Candidate) -> Stage:
+def stage_of_candidate(context: SearchContext, candidate: Candidate) -> Stage:
     """The model on the first record, without the columns of what is held."""
-    stage = stage_of(bench.simulator, candidate, bench.data[0])
+    stage = stage_of(context.simulator, candidate, context.data[0])
     entries = len(candidate.entries)
-    kept = np.concatenate([~bench.held, np.ones(stage.J.shape[2] - entries, bool)])
+    kept = np.concatenate([~context.held, np.ones(stage.J.shape[2] - entries, bool)])
     return dataclasses.replace(stage, J=stage.J[:, :, kept])
 
 
-def is_local(bench: Bench, effect: AbstractEffect) -> bool:
+def is_local(context: SearchContext, effect: AbstractEffect) -> bool:
     """Whether held-out data do not show an effect."""
-    return effect.own_phase or (effect.tied_to_clock and not bench.separate)
+    return effect.own_phase or (effect.tied_to_clock and not context.separate)
 
 
-def runs_seen(bench: Bench, *residuals: np.ndarray) -> tuple[list[FreeRun], ...]:
+def runs_seen(context: SearchContext, *residuals: np.ndarray) -> tuple[list[FreeRun], ...]:
     """Free runs on the first record of the fit, one list for each residual that they leave there."""
-    return tuple([FreeRun(e, e, bench.data[0].kept)] for e in residuals)
+    return tuple([FreeRun(e, e, context.data[0].kept)] for e in residuals)
 
 
-def held_out_run(bench: Bench, candidate: Candidate, data: Data) -> FreeRun:
+def held_out_run(context: SearchContext, candidate: Candidate, data: Data) -> FreeRun:
     """Free run on held-out data, without what belongs to the clock of the estimation record."""
-    terms = tuple(term for term in candidate.terms if not is_local(bench, term.effect))
-    return free_run(bench.simulator, candidate.with_terms(terms), data)
+    terms = tuple(term for term in candidate.terms if not is_local(context, term.effect))
+    return free_run(context.simulator, candidate.with_terms(terms), data)

@@ -12,8 +12,8 @@ import numpy as np
 from ...mechanics.effects.base import AbstractForceEffect
 from ...mechanics.extended import arm_of
 from ...numerics.side_by_side import side_by_side
-from ..estimation.context import Bench, chain_of
-from ..estimation.continuation import ROUGH, pursued
+from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.continuation import ROUGH, refit_to_convergence
 from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import Attempt, by_contact, criterion_of, unresolved
 from ..findings import Reason, Refusal, Rejected
@@ -21,17 +21,17 @@ from ..model.candidate import Candidate
 from ..screening.features import Motion, Shape, forces_of
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
-from ..settings import HOPELESS
+from ..settings import MAX_CRITERION_GAP
 
-ALIKE = 0.2
+CLASS_DELTA_BIC = 0.2
 """What a law's force may leave of another's, beside a spring's and a damper's, relative to what these leave."""
 
 NEARBY = 3
 """Laws that are begun again at most."""
 
 
-def left_behind(
-    bench: Bench,
+def force_matched(
+    context: SearchContext,
     stage: Stage,
     best: Attempt,
     tried: set[tuple[str, str]],
@@ -41,7 +41,7 @@ def left_behind(
     """Force laws at the place of the best one that can imitate it, but ended far behind it: refitted from where it
     ended, those that come near.
 
-    **Arguments:** `bench`; `stage`: without the best one; `best`; `tried`: laws and places that ended far behind;
+    **Arguments:** `context`; `stage`: without the best one; `best`; `tried`: laws and places that ended far behind;
     `tables`: where their shapes are; `rejected`: takes those that are another law where they end.
     """
     term = best.fit.candidate.terms[-1]
@@ -54,19 +54,19 @@ def left_behind(
         nested = term.effect.id in score.shape.effect.contains or score.shape.effect.id in term.effect.contains
         if name in tried and name[1] == term.place.name and same_kind and not nested:
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
-    found = [_imitating(bench, best.fit, list(scores[name].values())) for name in sorted(scores)]
-    near = sorted((pair for pair in found if pair[0] < ALIKE), key=lambda pair: pair[0])[:NEARBY]
-    ends = side_by_side(lambda pair: _begun_again(bench, stage, best, *pair[1]), near)
+    found = [_imitating(context, best.fit, list(scores[name].values())) for name in sorted(scores)]
+    near = sorted((pair for pair in found if pair[0] < CLASS_DELTA_BIC), key=lambda pair: pair[0])[:NEARBY]
+    ends = side_by_side(lambda pair: _refit_from(context, stage, best, *pair[1]), near)
     rejected += [end for end in ends if isinstance(end, Rejected)]
     return [end for end in ends if isinstance(end, Attempt)]
 
 
-def _imitating(bench: Bench, fit: Refit, scores: list[Score]) -> tuple[float, tuple[Score, Candidate]]:
+def _imitating(context: SearchContext, fit: Refit, scores: list[Score]) -> tuple[float, tuple[Score, Candidate]]:
     """What the nearest shape of a law leaves of the force of a refit's last term, its score, and the model with it in
     the other's place."""
-    data, term = bench.data[0], fit.candidate.terms[-1]
-    plant, setup = bench.simulator.plant(fit.candidate), bench.simulator.setup
-    q, v = bench.simulator.motion(fit.candidate, data)
+    data, term = context.data[0], fit.candidate.terms[-1]
+    plant, setup = context.simulator.plant(fit.candidate), context.simulator.setup
+    q, v = context.simulator.motion(fit.candidate, data)
     arm, motion = np.asarray(arm_of(term, plant)), Motion(q, v, q)
     own = Shape(term.effect, term.place, np.array(term.values), (np.array(term.values),), scores[0].shape.scales, 1)
     made = forces_of([own, *(score.shape for score in scores)], plant, motion, data)[:, : data.samples]
@@ -97,19 +97,19 @@ def _left(rows: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.linalg.norm(target - weights @ rows)), weights
 
 
-def _begun_again(
-    bench: Bench, stage: Stage, best: Attempt, score: Score, begin: Candidate
+def _refit_from(
+    context: SearchContext, stage: Stage, best: Attempt, score: Score, begin: Candidate
 ) -> Attempt | Rejected | None:
     """The refit of a law from where it imitates the best one, or that it ends as another; None where far behind."""
     shape = score.shape
-    bench.progress.stage(f"refitting {shape.effect.id} at {shape.place.name}")
-    options = {"held": bench.held, "tolerance": ROUGH}
-    again = refit(bench.simulator, best.fit.candidate, bench.data, best.chain, max_steps=3, **options)
-    most = criterion_of(bench, best.score, best.fit if again is None else again) + HOPELESS
-    fit = refit(bench.simulator, begin, bench.data, best.chain, max_steps=10, **options)
-    if fit is None or criterion_of(bench, score, fit) > most:
+    context.progress.stage(f"refitting {shape.effect.id} at {shape.place.name}")
+    options = {"held": context.held, "tolerance": ROUGH}
+    again = refit(context.simulator, best.fit.candidate, context.data, best.noise_model, max_steps=3, **options)
+    most = criterion_of(context, best.score, best.fit if again is None else again) + MAX_CRITERION_GAP
+    fit = refit(context.simulator, begin, context.data, best.noise_model, max_steps=10, **options)
+    if fit is None or criterion_of(context, score, fit) > most:
         return None
-    end = pursued(bench, fit)
+    end = refit_to_convergence(context, fit)
     if (other_law := unresolved(end, score)) is not None:
         return Rejected.of((shape.effect.id, shape.place.name), score.delta_bic, Refusal(Reason.OTHER_LAW, other_law))
-    return by_contact(bench, Attempt(score, end, chain_of(bench, end)), stage)
+    return by_contact(context, Attempt(score, end, noise_model_of(context, end)), stage)

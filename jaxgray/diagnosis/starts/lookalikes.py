@@ -4,18 +4,18 @@ import numpy as np
 
 from ...mechanics.effects.base import Term
 from ...numerics.side_by_side import side_by_side
-from ..estimation.context import Bench, chain_of
-from ..estimation.continuation import ROUGH, pursued
+from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.continuation import ROUGH, refit_to_convergence
 from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import Attempt, by_contact, criterion_of, dominated
 from ..findings import NOT_SIMULATED, Rejected
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
 from ..screening.shortlist import same_start
-from ..settings import ACCEPTED, CONTACT, HOPELESS
+from ..settings import CONTACT, MAX_CRITERION_GAP, MIN_DELTA_BIC
 
 
-def unheard(
+def untried_look_alikes(
     ids: frozenset[str], screening: Screening, closer: Screening, tried: set[tuple[str, str]]
 ) -> list[list[Score]]:
     """Candidates of the given laws, each at the place where it explains most, with the shapes to start from.
@@ -27,7 +27,7 @@ def unheard(
         scores: list[Score] = []
         for table in (closer.scores, screening.scores, screening.first):
             best = next((score for score in table if score.shape.effect.id == effect_id), None)
-            if best is None or best.delta_bic < ACCEPTED:
+            if best is None or best.delta_bic < MIN_DELTA_BIC:
                 continue
             if not scores or (scores[0].shape.place.name == best.shape.place.name and not same_start(best, scores[0])):
                 scores.append(best)
@@ -39,30 +39,32 @@ def unheard(
     return listed
 
 
-def instead_of(
-    bench: Bench, stage: Stage, best: Attempt, listed: list[list[Score]], rejected: list[Rejected]
+def refit_look_alikes(
+    context: SearchContext, stage: Stage, best: Attempt, listed: list[list[Score]], rejected: list[Rejected]
 ) -> list[Attempt]:
     """Refits of laws that stand in the place of the best one, those that do not end far behind it.
 
-    **Arguments:** `bench`; `stage`: without the best one; `best`; `listed`: scores of every law to hear; `rejected`:
+    **Arguments:** `context`; `stage`: without the best one; `best`; `listed`: scores of every law to hear; `rejected`:
     takes those that end far behind.
     """
-    heard = side_by_side(lambda scores: _heard(bench, stage, best, scores), listed)
-    rejected += [end for end in heard if isinstance(end, Rejected)]
-    return [end for end in heard if isinstance(end, Attempt)]
+    force_equation_finds = side_by_side(lambda scores: _refit_look_alike(context, stage, best, scores), listed)
+    rejected += [end for end in force_equation_finds if isinstance(end, Rejected)]
+    return [end for end in force_equation_finds if isinstance(end, Attempt)]
 
 
-def _heard(bench: Bench, stage: Stage, best: Attempt, scores: list[Score]) -> Attempt | Rejected:
+def _refit_look_alike(context: SearchContext, stage: Stage, best: Attempt, scores: list[Score]) -> Attempt | Rejected:
     """The refit of a law from where the best one's refit ended, or why there is none: parameters of the same name begin
     with the same values; under the name that its contact gives it."""
     name = scores[0].shape.effect.id, scores[0].shape.place.name
-    bench.progress.stage(f"refitting {name[0]} at {name[1]}")
-    chain, fit = best.chain, best.fit
+    context.progress.stage(f"refitting {name[0]} at {name[1]}")
+    noise_model, fit = best.noise_model, best.fit
     last = fit.candidate.terms[-1]
     known = dict(zip((p.name for p in last.effect.parameters), last.values))
-    # Under the chain, and with the samples counted, that the other is compared under.
-    again = refit(bench.simulator, fit.candidate, bench.data, chain, held=bench.held, max_steps=3, tolerance=ROUGH)
-    most = criterion_of(bench, best.score, fit if again is None else again) + HOPELESS
+    # Under the noise model, and with the samples counted, that the other is compared under.
+    again = refit(
+        context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=3, tolerance=ROUGH
+    )
+    most = criterion_of(context, best.score, fit if again is None else again) + MAX_CRITERION_GAP
     found: tuple[Score, Refit] | None = None
     for score in scores:
         shape = score.shape.term(score.weights)
@@ -70,16 +72,20 @@ def _heard(bench: Bench, stage: Stage, best: Attempt, scores: list[Score]) -> At
         for values in (alike, np.array(shape.values, float)):
             term = Term(shape.effect, shape.place, shape.effect.bounded(values))
             begin = fit.candidate.with_terms((*fit.candidate.terms[:-1], term))
-            trial = refit(bench.simulator, begin, bench.data, chain, held=bench.held, max_steps=10, tolerance=ROUGH)
-            if trial is not None and (found is None or criterion_of(bench, score, trial) < criterion_of(bench, *found)):
+            trial = refit(
+                context.simulator, begin, context.data, noise_model, held=context.held, max_steps=10, tolerance=ROUGH
+            )
+            if trial is not None and (
+                found is None or criterion_of(context, score, trial) < criterion_of(context, *found)
+            ):
                 found = score, trial
             if np.array_equal(alike, shape.values):
                 break
     if found is None:
         return Rejected.of(name, scores[0].delta_bic, NOT_SIMULATED)
-    behind = criterion_of(bench, *found) - most + HOPELESS
-    if behind > HOPELESS:
+    behind = criterion_of(context, *found) - most + MAX_CRITERION_GAP
+    if behind > MAX_CRITERION_GAP:
         return Rejected.of(name, scores[0].delta_bic, dominated(behind))
-    bench.progress.stage(f"pursuing {name[0]} at {name[1]}")
-    end = pursued(bench, found[1])
-    return by_contact(bench, Attempt(found[0], end, chain_of(bench, end)), stage)
+    context.progress.stage(f"pursuing {name[0]} at {name[1]}")
+    end = refit_to_convergence(context, found[1])
+    return by_contact(context, Attempt(found[0], end, noise_model_of(context, end)), stage)

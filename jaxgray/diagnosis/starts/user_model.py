@@ -17,16 +17,16 @@ from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
 from ...numerics.outcomes import ComputationError
 from ...records import Record
-from ..estimation.context import Bench, Identified
+from ..estimation.context import Identified, SearchContext
 from ..estimation.gauss_newton import refit
 from ..estimation.normal_equations import Equations
 from ..model.candidate import Candidate, Data
 from ..model.parameter_vector import Layout
 from ..model.simulator import Simulator
-from ..noise.whitening import white_chain
+from ..noise.whitening import white_noise_model
 from ..screening.linearization import Stage, sampled_plant
 from ..screening.score_test import Score, Screening
-from ..settings import ACCEPTED
+from ..settings import MIN_DELTA_BIC
 
 COUNT = 3
 """Entries of a round that are begun so."""
@@ -55,8 +55,10 @@ def identified(simulator: Simulator, records: list[Record], data: list[Data], op
 
 def _informed(simulator: Simulator, data: list[Data], candidate: Candidate, e: np.ndarray) -> Identified | None:
     """What the records say of the entries of a candidate that leaves `e` of the first; None where it overflows."""
-    chain = white_chain(e, data[0].kept, sampled_plant(simulator.plant(candidate), data[0], simulator.setup.dofs))
-    made = Equations(simulator, data, chain, Layout(simulator.setup, candidate))(candidate)
+    noise_model = white_noise_model(
+        e, data[0].kept, sampled_plant(simulator.plant(candidate), data[0], simulator.setup.dofs)
+    )
+    made = Equations(simulator, data, noise_model, Layout(simulator.setup, candidate))(candidate)
     if made is None:
         return None
     H, n = made[0], len(candidate.entries)
@@ -64,31 +66,33 @@ def _informed(simulator: Simulator, data: list[Data], candidate: Candidate, e: n
     return Identified(candidate.entries, candidate.x0, H[:n, :n] - across @ H[n:, :n])
 
 
-def beside_laws(bench: Bench, stage: Stage) -> Bench:
-    """A bench whose identified model has the laws of a stage as well, all entries refitted beside them: laws hide what
-    is wrong of the entries. The same bench where there is no law, or no refit."""
+def beside_laws(context: SearchContext, stage: Stage) -> SearchContext:
+    """A context whose identified model has the laws of a stage as well, all entries refitted beside them: laws hide
+    what is wrong of the entries. The same context where there is no law, or no refit."""
     laws = tuple(term for term in stage.candidate.terms if not _is_entry(term.effect))
-    if bench.identified is None or not laws:
-        return bench
-    begin = Candidate(bench.identified.entries, bench.identified.x0, laws)
-    chain = white_chain(stage.e, bench.data[0].kept, stage.system)
+    if context.identified is None or not laws:
+        return context
+    begin = Candidate(context.identified.entries, context.identified.x0, laws)
+    noise_model = white_noise_model(stage.e, context.data[0].kept, stage.system)
     free = np.zeros(len(begin.entries), bool)
-    fit = refit(bench.simulator, begin, bench.data, chain, held=free, max_steps=STEPS)
-    found = None if fit is None else _informed(bench.simulator, bench.data, fit.candidate, fit.residual[0])
-    return bench if found is None else dataclasses.replace(bench, identified=found)
+    fit = refit(context.simulator, begin, context.data, noise_model, held=free, max_steps=STEPS)
+    found = None if fit is None else _informed(context.simulator, context.data, fit.candidate, fit.residual[0])
+    return context if found is None else dataclasses.replace(context, identified=found)
 
 
 def _is_entry(effect: AbstractEffect) -> bool:
     return effect.id in {error.id for error in MODEL_ERRORS}
 
 
-def wrong_entries(bench: Bench, stage: Stage, screening: Screening, *, least: float = ACCEPTED) -> list[Score]:
+def wrong_entries(
+    context: SearchContext, stage: Stage, screening: Screening, *, least: float = MIN_DELTA_BIC
+) -> list[Score]:
     """Scores of the entries that the identified model says are wrong, with the sizes to begin from, best first; those
     alone that would lower the sum of squares by at least so much, in units of the noise variance."""
-    found = bench.identified
+    found = context.identified
     if found is None:
         return []
-    setup, plant = bench.simulator.setup, bench.simulator.plant(stage.candidate)
+    setup, plant = context.simulator.setup, context.simulator.plant(stage.candidate)
     matrices = tuple(np.asarray(X) for X in (plant.mass, plant.damping, plant.stiffness))
     here = setup.entries_of(*matrices)
     ranked = []

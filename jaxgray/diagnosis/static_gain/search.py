@@ -14,7 +14,7 @@ from ..model.candidate import estimated
 from ..model.free_run import FreeRun, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.effective_samples import independent_share
-from ..settings import ALIKE
+from ..settings import CLASS_DELTA_BIC
 from .regression import Static, StaticFit
 
 
@@ -134,9 +134,9 @@ def search_static(
         rivals = []
         for other in passed:
             difference = trial.delta_bic - other.delta_bic
-            if 0 <= difference < ALIKE and other is not trial:
+            if 0 <= difference < CLASS_DELTA_BIC and other is not trial:
                 rivals.append(other)
-            elif difference >= ALIKE:
+            elif difference >= CLASS_DELTA_BIC:
                 words = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
                 rejected.append(Rejected.of(other.name, other.delta_bic, Refusal(Reason.EXPLAINED_BETTER, words)))
         taken.append((trial, tuple(rivals[:3]), gain))
