@@ -61,3 +61,7 @@ def test_every_public_argument_is_documented(name):
     function = getattr(jaxgray, name)
     missing = [p for p in inspect.signature(function).parameters if f"`{p}`" not in function.__doc__]
     assert not missing
+
+
+def test_the_readme_counts_the_effects_of_the_catalogue():
+    assert f"{len(jaxgray.CATALOGUE)} in all" in (ROOT / "README.md").read_text()

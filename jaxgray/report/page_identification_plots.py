@@ -14,7 +14,6 @@ OF_EACH = 4
 
 def fit_plots(result: Identification) -> list[Plot]:
     """Measured and simulated, output by output: the worst stretch, a typical one, the whole record."""
-    held_out = bool(result.validation)
     fit = (result.validation or result.estimation)[0]
     data = (result.validation_records or result.records)[0]
     runs = [Run("model", "@after", fit.simulated)]
@@ -26,7 +25,7 @@ def fit_plots(result: Identification) -> list[Plot]:
             for word, window in zip(("Worst", "Typical"), stretches(fit.residual[:, k])):
                 plots.append(closer(*args, window, name=f"time-{k}-{word.lower()}", title=f"{word} stretch"))
         plots.append(whole(*args, name=f"time-{k}", series=3 * data.outputs))
-    return plots if held_out or plots else []
+    return plots
 
 
 def bode_plots(result: Identification, *, points: int = 500) -> list[Plot]:

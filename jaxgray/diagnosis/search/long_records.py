@@ -30,6 +30,9 @@ LONG = 2.0
 LONGER = 4
 """By how much longer the next part is where one shows nothing."""
 
+MOST_OF_THE_REST = 0.3
+"""Share of the residual that something tied to the clock must explain where the part is unexplained."""
+
 STEPS = 10
 """Of each refit on the whole record."""
 
@@ -142,8 +145,10 @@ def _tied_to_clock(context: SearchContext, state: SearchState, max_effects: int)
     context.progress.stage("looking for what belongs to the clock of the record")
     seen = screen_simulated(state.stage, context.data[0], tied, context.names, surrogates=0)
     best = seen.best_by_effect()
-    # In so many samples the least misfit is significant: it must also be of some size.
-    sized = tuple(e for e in tied if e.id in best and 1 - np.exp(-best[e.id].ratio / seen.rows) >= MIN_RESIDUAL_SHARE)
+    # In so many samples the least misfit is significant: it must also be of some size, and of more where the part is
+    # unexplained, for which anything may stand in.
+    least = MOST_OF_THE_REST if state.unexplained else MIN_RESIDUAL_SHARE
+    sized = tuple(e for e in tied if e.id in best and 1 - np.exp(-best[e.id].ratio / seen.rows) >= least)
     if not sized:
         return
     unexplained, screening = state.unexplained, state.screening
