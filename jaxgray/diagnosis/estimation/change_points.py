@@ -35,9 +35,12 @@ def softened(term: Term, scales: Scales) -> list[Term]:
     if not term.effect.onset or len(scales.times) < 2:
         return [term]
     _, at = onset_of(term.effect)
-    spacing = scales.times[1] - scales.times[0]
+    widths = [2 * (scales.times[1] - scales.times[0])]
+    # The time is looked for within the width before: by a fixed factor, so that long records take a few steps more.
+    while widths[-1] > 8 * scales.sampling_time:
+        widths.append(widths[-1] / 4)
     result = []
-    for width in (2 * spacing, spacing / 2, spacing / 8, scales.sampling_time):
+    for width in (*widths, scales.sampling_time):
         values = np.array(term.values, float)
         values[at] = width
         result.append(Term(term.effect, term.place, values))
