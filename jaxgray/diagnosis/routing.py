@@ -18,6 +18,7 @@ from .conclusions.equation_error import FAR, force_diagnosis
 from .conclusions.static_gain import static_diagnosis
 from .equation_error.search import Search
 from .equation_error.without_unmeasured_forces import search_forces
+from .findings import Move
 from .model.free_run import overall, rms_of
 from .noise.whitening import white_part
 from .result import Diagnosis
@@ -45,7 +46,7 @@ USABLE = 80.0
 NEARER = 0.5
 """Error of the force equation's model over windows, relative to that of the free run's, from which it is the better."""
 
-MAX_CRITERION_GAP = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
+NOT_MENDED = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
 """Failures of the linear fit that no other way mends."""
 
 
@@ -71,7 +72,7 @@ def begin(
         identification = identify(records, validation=held, progress=progress, **options)
     except ComputationError as error:
         failure = error
-        if any(error.result == one for one in MAX_CRITERION_GAP) or not any(np.any(record.u) for record in records):
+        if any(error.result == one for one in NOT_MENDED) or not any(np.any(record.u) for record in records):
             raise
     drive = drive_by(records[0], options)
     rng = np.random.default_rng(seed)
@@ -146,11 +147,13 @@ def may_come_into_step(identification: Identification) -> bool:
 
 def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | None) -> Diagnosis:
     """A diagnosis of free runs, or what the force equation finds, where the first is not sound and its model is twice
-    as far from windows of the held-out data.
+    as far from windows of the held-out data. What was found under white noise, against the noise model that the record
+    gives, is not sound by itself.
 
     **Arguments:** `found`; `forces`: as `asked_of_forces` gives it.
     """
     sound = found.verdict in ("named", "equivalent") and (found.gain is None or found.gain.ci95[0] > 0)
+    sound = sound and all(finding.found_by != Move.WHITE_NOISE.value for finding in found.findings)
     search = None if sound or forces is None else forces()
     if search is None or not search.taken:
         return found

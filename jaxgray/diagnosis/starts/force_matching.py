@@ -23,7 +23,7 @@ from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
 from ..settings import MAX_CRITERION_GAP
 
-CLASS_DELTA_BIC = 0.2
+MATCHED = 0.2
 """What a law's force may leave of another's, beside a spring's and a damper's, relative to what these leave."""
 
 NEARBY = 3
@@ -55,7 +55,7 @@ def force_matched(
         if name in tried and name[1] == term.place.name and same_kind and not nested:
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
     found = [_imitating(context, best.fit, list(scores[name].values())) for name in sorted(scores)]
-    near = sorted((pair for pair in found if pair[0] < CLASS_DELTA_BIC), key=lambda pair: pair[0])[:NEARBY]
+    near = sorted((pair for pair in found if pair[0] < MATCHED), key=lambda pair: pair[0])[:NEARBY]
     ends = side_by_side(lambda pair: _refit_from(context, stage, best, *pair[1]), near)
     rejected += [end for end in ends if isinstance(end, Rejected)]
     return [end for end in ends if isinstance(end, Attempt)]
