@@ -206,17 +206,7 @@ class NextExperiment:
 
 @dataclass(frozen=True)
 class DiagnosisFields:
-    """What a `Diagnosis` holds.
-
-    `verdict`: the worst over the findings; `baseline`: the linear model (or the user's own); `noise_floor` per output
-    and where it comes from; `findings` in order of acceptance; `extended`: the model with all terms, None where
-    nothing was found; `gain`: of all findings together; `excess`: RMSE over noise floor of what is left; `white`:
-    whether what is left is white; `explainable`: share of the baseline's excess that a flexible competitor could
-    explain on held-out data; `depends_on`: variables on which an unexplained rest depends; `rejected`; `not_found`;
-    `shifts` of M, D, K; `budget`: share of every term, noise and the unexplained in the baseline's mean square error,
-    in percent; `next_experiment`; `warnings`; `curves` for the figures; `identification`: the linear fit, None with
-    the user's own model; `terms` accepted.
-    """
+    """What a `Diagnosis` holds; its docstring says what each field is."""
 
     verdict: str
     baseline: ModelSummary

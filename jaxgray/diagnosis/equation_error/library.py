@@ -9,7 +9,7 @@ from ...identification.conic import pseudo_inverse
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Place, Term, places_of
 from ..model.candidate import estimated
 from ..screening.features import Shape
-from ..screening.score_test import Score, allowed
+from ..screening.score_test import Score, allowed, best_by_place
 from ..settings import GATE_DELTA_BIC
 from .regression import Equation, ForceFit, Weight
 
@@ -38,10 +38,7 @@ class Scores:
 
     def best_by_place(self) -> dict[tuple[str, str], Score]:
         """The best score of every effect at every place."""
-        best = {}
-        for score in self.scores:
-            best.setdefault((score.shape.effect.id, score.shape.place.name), score)
-        return best
+        return best_by_place(self.scores)
 
     @property
     def fires(self) -> bool:

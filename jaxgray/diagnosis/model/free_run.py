@@ -1,5 +1,4 @@
-"""What a refit is worth: evidence under one noise model, gain on data it has not seen, and whether it may be
-believed."""
+"""A free run over data, its first state fitted to their head, and its error."""
 
 from dataclasses import dataclass
 

@@ -68,10 +68,7 @@ class Screening:
 
     def best_by_place(self) -> dict[tuple[str, str], Score]:
         """The best score of every effect at every place."""
-        best = {}
-        for score in self.scores:
-            best.setdefault((score.shape.effect.id, score.shape.place.name), score)
-        return best
+        return best_by_place(self.scores)
 
     @property
     def shows(self) -> bool:
@@ -85,6 +82,14 @@ class Screening:
         if not best or best[0].delta_bic < self.threshold:
             return False
         return min(score.p_value for score in best) * len(best) < SIGNIFICANCE
+
+
+def best_by_place(scores: tuple[Score, ...]) -> dict[tuple[str, str], Score]:
+    """The best score of every effect at every place, of scores with the best first."""
+    best = {}
+    for score in scores:
+        best.setdefault((score.shape.effect.id, score.shape.place.name), score)
+    return best
 
 
 def score_all(products: Products, features: Features) -> tuple[tuple[Score, ...], int]:

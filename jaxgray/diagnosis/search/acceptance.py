@@ -1,4 +1,4 @@
-"""Whether an attempt may be believed: what speaks against it, and what it gains on data that the fit has not seen."""
+"""What speaks for and against an attempt of the free-run search, and what it gains on held-out data."""
 
 from dataclasses import dataclass
 

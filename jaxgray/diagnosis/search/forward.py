@@ -1,4 +1,4 @@
-"""The loop: look, name, refit, accept or reject, look again."""
+"""Forward selection by free runs: screen, refit, test, accept, and screen again."""
 
 import dataclasses
 

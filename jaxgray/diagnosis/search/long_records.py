@@ -30,9 +30,6 @@ LONG = 2.0
 LONGER = 4
 """By how much longer the next part is where one shows nothing."""
 
-MOST_OF_THE_REST = 0.3
-"""Share of the residual that something tied to the clock must explain where the part is unexplained."""
-
 STEPS = 10
 """Of each refit on the whole record."""
 
@@ -137,21 +134,21 @@ def _refitted(context: SearchContext, candidate: Candidate, first) -> Refit | No
 
 
 def _tied_to_clock(context: SearchContext, state: SearchState, max_effects: int) -> None:
-    """Look in the whole records for what belongs to the clock of one, which no part of it shows."""
+    """Look in the whole records for what belongs to the clock of one, which no part of it shows; not where the part is
+    unexplained, for which anything may stand in."""
     tied = tuple(effect for effect in context.catalogue if effect.tied_to_clock)
     most, known = max_effects - len(state.accepted), len(state.accepted)
-    if not tied or most <= 0:
+    if not tied or most <= 0 or state.unexplained:
         return
     context.progress.stage("looking for what belongs to the clock of the record")
     seen = screen_simulated(state.stage, context.data[0], tied, context.names, surrogates=0)
     best = seen.best_by_effect()
-    # In so many samples the least misfit is significant: it must also be of some size, and of more where the part is
-    # unexplained, for which anything may stand in.
-    least = MOST_OF_THE_REST if state.unexplained else MIN_RESIDUAL_SHARE
-    sized = tuple(e for e in tied if e.id in best and 1 - np.exp(-best[e.id].ratio / seen.rows) >= least)
+    # In so many samples the least misfit is significant: it must also be of some size.
+    share = {name: 1 - np.exp(-score.ratio / seen.rows) for name, score in best.items()}
+    sized = tuple(effect for effect in tied if share.get(effect.id, 0.0) >= MIN_RESIDUAL_SHARE)
     if not sized:
         return
-    unexplained, screening = state.unexplained, state.screening
+    screening = state.screening
     extend(dataclasses.replace(context, catalogue=sized), state, most, sized)
     if len(state.accepted) == known:
-        state.unexplained, state.screening = unexplained, screening
+        state.unexplained, state.screening = False, screening

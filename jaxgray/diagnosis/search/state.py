@@ -1,4 +1,4 @@
-"""How far the loop of a diagnosis got, and its model run on data."""
+"""The state of a search: what was accepted and refused, and its model run on data."""
 
 import dataclasses
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Laws that are easily taken for the best of a round, but were not among those tried: each gets its hearing."""
+"""Look-alikes of the best law of a round that were not among those tried, refitted from where its refit ended."""
 
 import numpy as np
 
