@@ -12,6 +12,7 @@ from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import rarely_collecting, ready, relieve
 from ..records import Record, check_compatible, preflight
 from .base_start import MassKnowledge
+from .guard import lost
 from .options import drive_of, fixed_entries, parse_fix, pick, with_known
 from .prediction import Batch, Setting
 from .preparation import Signals, prepare, scaling_of
@@ -19,7 +20,7 @@ from .prior import mass_prior
 from .projection import WEIGHTS
 from .reach import check_reach
 from .realization import MAPS
-from .refine import Refinement
+from .refine import Refinement, start_kept
 from .refine import refine as refine_model
 from .result import Identification, assess
 from .rigid import DRIFT, TURNED, phases, rigid_modes, windows, without_stiffness
@@ -182,6 +183,13 @@ def identify(
 
         others = partial(other_starts, complete, setting, scaling.sampling_time, options, start, progress)
         start, refinement = _best_refined(starts, others, refined, setting, signals, progress)
+        # Of another structure the start is no model to fall back on, with noise at the forces a free run no measure.
+        end = refinement.mass, refinement.damping, refinement.stiffness
+        comparable = is_relaxed(form) and noise == "output-error"
+        if comparable and lost(end, physical(start), setting, [prepare(r, scaling) for r in held_out]):
+            prior = None if isinstance(drive, Force) else mass_prior(form, scaling, known["mass"], held)
+            offset = refinement.nuisance.offset is not None
+            refinement = start_kept(physical(start), batch, setting, structure=form, offset=offset, prior=prior)
         M, D, K = refinement.mass, refinement.damping, refinement.stiffness
     progress.stage("assessing")
     matrices = [np.array(X) for X in scaling.matrices_out(*jax.device_get((M, D, K)))]

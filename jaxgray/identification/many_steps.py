@@ -32,6 +32,8 @@ from .structure import Structure
 MAX_STEPS = 40
 FIRST_DAMPING = 1e-5
 MOST_DAMPING = 1e8
+NEARLY_FREE = 1e-3
+"""Damping under which what a step promises says how far the optimum is."""
 LAGS = 25
 """Lags over which the residual's whiteness is judged."""
 
@@ -161,15 +163,15 @@ def refine_one(
     def advance(state):
         trial = at(state.point.place + state.step)
         better = jnp.isfinite(trial.cost) & (trial.cost <= state.point.cost + DECREMENT)
-        # Rounding is all that is left where the step itself promised next to nothing.
-        rest = ~better & (state.decrement < 100 * DECREMENT)
+        # Rounding is all that is left where a step that was hardly damped promised next to nothing.
+        rest = ~better & (state.decrement < 100 * DECREMENT) & (state.damping < NEARLY_FREE)
         point = jax.tree_util.tree_map(lambda new, old: jnp.where(better, new, old), trial, state.point)
         lower = jnp.where(state.damping > 1e-7, state.damping / jnp.where(state.steps > 0, 30, 1), 0.0)
         damping = jnp.where(better, lower, jnp.maximum(10 * state.damping, 1e-4))
         step, decrement = _step(point, damping)
         # What would be left after the next step, if that brings as much as the last one did.
         rate = jnp.minimum(decrement / state.decrement, 1.0)
-        near = better & (state.steps > 0) & (decrement * rate < DECREMENT) & (damping < 1e-3)
+        near = better & (state.steps > 0) & (decrement * rate < DECREMENT) & (damping < NEARLY_FREE)
         lost = ~jnp.isfinite(decrement) | (damping > MOST_DAMPING)
         step = jnp.where(rest | lost, 0.0, step)
         after = _State(point, step, decrement, rate, damping, state.steps + 1, near | rest, near | rest | lost)

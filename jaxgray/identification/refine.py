@@ -247,13 +247,43 @@ def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovati
 
     end = conic_steps(here, criterion, first=first, fixed=fixed)
     result = RESULTS.successful if end.converged else RESULTS.refinement_diverged
-    if not innovations:
-        # With noise at the forces a free run is no measure of the likelihood.
+    if innovations:
+        # With noise at the forces a free run is no measure of the likelihood: both by the same noise.
+        products = criterion.evaluate(begin.blocks, end.at.nuisance)
+        normal = criterion.normal(products, end.at.whitening, begin.blocks)
+        if not end.normal.cost <= normal.cost * (1 + SLACK / criterion.count):
+            at = Iterate(begin.blocks, end.at.nuisance, end.at.whitening)
+            end, result = ConicEnd(at, products, normal, end.steps, np.inf, False), RESULTS.not_improved
+    else:
         reached, at_first = likelihood_cost(end.products, criterion), start_cost(begin, criterion, at_begin)
         if not reached <= at_first + SLACK:
             end, result = _kept(begin, at_begin, criterion, end.steps), RESULTS.not_improved
     if not np.isfinite(end.normal.cost):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement")
+    return _refinement(end, criterion, taken, result)
+
+
+def start_kept(
+    start: tuple[Array, Array, Array],
+    batch: Batch,
+    setting: Setting,
+    *,
+    structure: Structure,
+    offset: bool,
+    prior: Prior | None,
+) -> Refinement:
+    """The start, with its best first states and offsets and its own information, as the end of a refinement.
+
+    **Arguments:** as of `refine`. **Returns:** a `Refinement` whose result is `RESULTS.not_improved`.
+    """
+    criterion = Criterion(batch, setting, structure, prior)
+    nuisance = begin_nuisance(batch, setting, offset=offset, innovations=False)
+    begin = Iterate(structure.blocks(*start, lift=0.0), nuisance, np.eye(batch.y.shape[2]))
+    end = _kept(begin, criterion.evaluate(begin.blocks, nuisance), criterion, 0)
+    return _refinement(end, criterion, 0, RESULTS.not_improved)
+
+
+def _refinement(end: ConicEnd, criterion: Criterion, taken: int, result: RESULTS) -> Refinement:
     M, D, K = criterion.matrices(end.at.blocks)
     count = criterion.count - end.normal.information.shape[0]
     return Refinement(
@@ -269,7 +299,7 @@ def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovati
         end.decrement,
         likelihood_cost(end.products, criterion),
         result,
-        prior,
+        criterion.prior,
     )
 
 

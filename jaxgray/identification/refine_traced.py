@@ -1,9 +1,10 @@
 """A fixed number of Gauss-Newton steps over the cones, in traced code.
 
-The steps are those of `conic`, without its decisions: no damping that reacts, no test of convergence. From a
-subspace start two or three are enough, and what is fixed can be differentiated.
+The steps are those of `conic`, without its test of convergence. From a subspace start two or three are enough, and what
+is fixed can be differentiated. A step that makes the model less likely is taken back and damped.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -17,6 +18,28 @@ from .structure import MASS_FLOOR, Structure
 RIDGE = 1e-12
 """Relative damping that keeps directions without information where they are."""
 
+DAMPED = 1.0
+"""Relative damping of the step after one that was taken back."""
+
+ROUNDING = 1e-9
+"""Rise of minus the logarithm of the likelihood per sample that does not count."""
+
+
+class _Place(eqx.Module):
+    """Joined entries of M, D, K; first states and offsets."""
+
+    entries: Array
+    nuisance: Nuisance
+
+
+class _Point(eqx.Module):
+    """The normal equations at a place, and minus the logarithm of its likelihood per sample, but for a constant."""
+
+    place: _Place
+    gradient: Array
+    information: Array
+    cost: Array
+
 
 def gauss_newton(
     matrices: tuple[Array, Array, Array], batch: Batch, setting: Setting, steps: int
@@ -26,7 +49,8 @@ def gauss_newton(
     **Arguments:** `matrices`: scaled M, D, K to start from; `batch`; `setting`; `steps`: how many. The weights of the
     outputs are renewed before every step.
 
-    **Returns:** scaled M, D, K. Differentiable by the start and the data.
+    **Returns:** scaled M, D, K, never less likely than the start with its best first states and offsets.
+    Differentiable by the start and the data.
 
     **Reference:** Ljung, *System Identification*, §10.2.
     """
@@ -40,29 +64,44 @@ def gauss_newton(
     identity = jnp.eye(batch.y.shape[2])
     quiet = begin_nuisance(batch, setting, offset=True, innovations=False)
 
-    def step(carry, first):
-        z, nuisance = carry
-        blocks = part(z, sizes)
-        found = criterion.products(blocks, nuisance)
+    def evaluated(place, first):
+        found = criterion.products(part(place.entries, sizes), place.nuisance)
         lower = jnp.linalg.cholesky(found.covariance(True))
         renewed = jax.scipy.linalg.solve_triangular(lower, identity, lower=True)
         normal = found.normal(jnp.where(first, identity, renewed))
-        H, g = normal.information, normal.gradient
+        return _Point(place, normal.gradient, normal.information, jnp.sum(jnp.log(jnp.diag(lower))))
+
+    def step(carry, index):
+        place, best, damping = carry
+        first = index == 0
+        point = evaluated(place, first)
+        # First states and offsets enter linearly: their best values come before the first weights and the first cost.
+        taken = (index <= 1) | (point.cost <= best.cost + ROUNDING)
+        best = jax.tree_util.tree_map(lambda new, old: jnp.where(taken, new, old), point, best)
+        damping = jnp.where(taken, 0.0, jnp.maximum(10 * damping, DAMPED))
+        z, nuisance, g = best.place.entries, best.place.nuisance, best.gradient
+        H = best.information + damping * jnp.diag(
+            jnp.where(jnp.arange(len(g)) < entries, jnp.diag(best.information), 0)
+        )
         inner = _ridged(H[entries:, entries:])
         across = jnp.linalg.solve(inner, H[entries:, :entries]).T
         reduced = (H[:entries, :entries] - across @ H[entries:, :entries]) * unit[:, None] * unit[None, :]
         slope = (g[:entries] - across @ g[entries:]) * unit
         reduced, here = _ridged((reduced + reduced.T) / 2), z / unit
-        best = solver(PositiveLeastSquares(reduced, slope - reduced @ here, floors, sizes))
-        # First states and offsets enter linearly: their best values come before the first weights.
-        dz = jnp.where(first, 0.0, (best - here) * unit)
+        nearest = solver(PositiveLeastSquares(reduced, slope - reduced @ here, floors, sizes))
+        dz = jnp.where(first, 0.0, (nearest - here) * unit)
         dn = -jnp.linalg.solve(inner, g[entries:] + H[entries:, :entries] @ dz)
         states = quiet.x0.size
         x0 = nuisance.x0 + dn[:states].reshape(quiet.x0.shape)
-        return (z + dz, Nuisance(x0, nuisance.offset + dn[states:].reshape(quiet.offset.shape), None)), None
+        offset = nuisance.offset + dn[states:].reshape(quiet.offset.shape)
+        return (_Place(z + dz, Nuisance(x0, offset, None)), best, damping), None
 
-    (z, _), _ = jax.lax.scan(step, (join(list(matrices)), quiet), jnp.arange(steps + 1) == 0)
-    return tuple(part(z, sizes))
+    start = _Place(join(list(matrices)), jax.tree_util.tree_map(jnp.asarray, quiet))
+    size = entries + quiet.x0.size + quiet.offset.size
+    unknown = _Point(start, jnp.zeros(size), jnp.zeros((size, size)), jnp.asarray(jnp.inf))
+    (last, best, _), _ = jax.lax.scan(step, (start, unknown, jnp.asarray(0.0)), jnp.arange(steps + 1))
+    better = evaluated(last, False).cost <= best.cost + ROUNDING
+    return tuple(part(jnp.where(better, last.entries, best.place.entries), sizes))
 
 
 def _ridged(H: Array) -> Array:
