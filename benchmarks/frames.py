@@ -333,14 +333,15 @@ def drawn_damage(seed, name):
     h, samples = 1 / float(rng.choice([100.0, 200.0])), int(rng.choice([4000, 8000]))
     u = 1.2 * frames.band_noise(rng, samples, 1, (0.5, min(1.5 * frame.frequencies_hz[-1], 0.4 / h)), h)
     storey = int(rng.integers(len(frame.masses)))
-    place = "y1" if storey == 0 else f"y{storey}-y{storey + 1}"
-    if name is None:
-        clean = frames.shaken(frame.rates, u, h)
-    else:
-        drift = frames.shaken_with(frame, u, h, storey, lambda d, v, share: 0.0)[1]
-        clean = frames.shaken_with(frame, u, h, storey, frames.storey_law(name, frame, storey, drift, rng))[0]
+    effects = []
+    if name is not None:
+        drift = np.std(frames.shaken_with(frame, u, h, [])[1][:, storey])
+        effects = [frames.storey_law(name, frame, storey, drift, samples * h, rng)]
+    clean = frames.shaken_with(frame, u, h, effects)[0]
     noise = np.exp(rng.uniform(np.log(0.001), np.log(0.01))) * clean.std()
-    return record_of(u, clean + noise * rng.standard_normal(clean.shape), h, "acceleration", "acceleration"), place
+    return record_of(
+        u, clean + noise * rng.standard_normal(clean.shape), h, "acceleration", "acceleration"
+    ), frames.place_of(storey)
 
 
 def row_diagnosis(seeds):

@@ -1,7 +1,10 @@
 """Shear frames on a moving base, simulated by SciPy alone: what a shake table and accelerometers would record."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
+import hidden_laws
+import hidden_simulation
 import numpy as np
 import scipy.linalg
 import scipy.signal
@@ -131,55 +134,48 @@ LAWS = ("end_stop", "bilinear_stiffness", "coulomb_friction", "stiffness_step")
 """What can go wrong in one storey."""
 
 
-def storey_law(name, frame, storey, drift, rng):
-    """Force of a damaged storey on the floor above it, as a function of drift, its rate and the share of the record.
+def storey_law(name, frame, storey, drift, duration, rng):
+    """A damaged storey, as `hidden_simulation` takes it.
 
     **Arguments:** `name`: one of `LAWS`; `frame`; `storey`: its number from 0; `drift`: RMS drift of that storey
-    without the law [m]; `rng`.
+    without the law [m]; `duration` of the record [s]; `rng`.
     """
-    k = frame.storeys[storey]
-    size = rng.uniform(0.7, 1.5)
-    if name == "end_stop":
-        gap = 1.2 * size * drift
-        return lambda d, v, share: k * (d - np.clip(d, -gap, gap))
-    if name == "bilinear_stiffness":
-        return lambda d, v, share: 0.15 * size * k * max(d, 0.0)
-    if name == "coulomb_friction":
-        force = 0.05 * size * k * drift
-        rate = 0.02 * drift * 2 * np.pi * frame.frequencies_hz[0]
-        return lambda d, v, share: force * np.tanh(v / rate)
-    begin = rng.uniform(0.3, 0.6)
-    return lambda d, v, share: -0.1 * k * d * (share > begin)
+    k, size = frame.storeys[storey], rng.uniform(0.7, 1.5)
+    return hidden_laws.Effect(
+        name,
+        place_of(storey),
+        {
+            "end_stop": {"gap": 1.2 * size * drift, "ks": k},
+            "bilinear_stiffness": {"ks": 0.15 * size * k},
+            "coulomb_friction": {"Fc": 0.05 * size * k * drift},
+            "stiffness_step": {"dk": -0.1 * k, "t0": duration * rng.uniform(0.3, 0.6)},
+        }[name],
+    )
 
 
-def shaken_with(frame, u, sampling_time, storey, law, *, substeps=8):
-    """Absolute accelerations of all floors on a base with acceleration `u`, linear between samples, one storey with a
-    law of its own; classical Runge-Kutta in `substeps` a sample.
+def place_of(storey):
+    """The name of a storey, counted from 0."""
+    return "y1" if storey == 0 else f"y{storey}-y{storey + 1}"
 
-    Returns the accelerations and the storey's RMS drift.
-    """
-    n = len(frame.masses)
-    damping, stiffness = frame.rates
-    arm = np.zeros(n)
-    arm[storey] = 1.0
-    if storey:
-        arm[storey - 1] = -1.0
-    per_mass = arm / frame.masses
 
-    def absolute(z, v, share):
-        return -(stiffness @ z + damping @ v) - per_mass * law(arm @ z, arm @ v, share)
-
-    h = sampling_time / substeps
-    z, v, out, drift = np.zeros(n), np.zeros(n), np.empty((len(u), n)), np.empty(len(u))
-    a = np.append(u[:, 0], u[-1, 0])
-    for k in range(len(u)):
-        out[k], drift[k] = absolute(z, v, k / len(u)), arm @ z
-        for j in range(substeps):
-            base = [a[k] + (a[k + 1] - a[k]) * (j + s) / substeps for s in (0.0, 0.5, 1.0)]
-            share = (k + j / substeps) / len(u)
-            k1v, k1z = absolute(z, v, share) - base[0], v
-            k2v, k2z = absolute(z + h / 2 * k1z, v + h / 2 * k1v, share) - base[1], v + h / 2 * k1v
-            k3v, k3z = absolute(z + h / 2 * k2z, v + h / 2 * k2v, share) - base[1], v + h / 2 * k2v
-            k4v, k4z = absolute(z + h * k3z, v + h * k3v, share) - base[2], v + h * k3v
-            z, v = z + h / 6 * (k1z + 2 * k2z + 2 * k3z + k4z), v + h / 6 * (k1v + 2 * k2v + 2 * k3v + k4v)
-    return out, float(np.sqrt(np.mean(drift**2)))
+def shaken_with(frame, u, sampling_time, effects):
+    """Absolute accelerations of all floors on a base with acceleration `u`, linear between samples, and drifts [m] of
+    all storeys; `effects` act in storeys, dry friction with true rest."""
+    n, u = len(frame.masses), np.asarray(u, dtype=float)
+    system = hidden_simulation.System(frame.mass, frame.damping, frame.stiffness, -frame.mass @ np.ones((n, 1)))
+    q, v, t, substeps = hidden_simulation.motion(system, u, sampling_time, effects, hold="linear")
+    q, v, t = (x[::substeps][: len(u)] for x in (q, v, t))
+    pull = -(q @ frame.stiffness + v @ frame.damping)
+    for effect in effects:
+        arm, p = hidden_laws.arm(effect.place, n), effect.parameters
+        d, rate = q @ arm, v @ arm
+        if effect.id in hidden_laws.FRICTION:
+            # At rest it holds what pulls, the base included.
+            yields = arm / frame.masses
+            holding = (pull @ yields - (yields @ frame.masses) * u[:, 0]) / (arm @ yields)
+            f = np.where(np.abs(rate) > 1e-9 * rate.std(), p["Fc"] * np.sign(rate), holding)
+        else:
+            here = SimpleNamespace(q=d, v=rate, middle=t)
+            f = np.asarray(hidden_laws.FORCES[effect.id](p, here))
+        pull = pull - f[:, None] * arm
+    return pull / frame.masses, np.diff(q, axis=1, prepend=0.0)

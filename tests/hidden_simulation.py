@@ -214,7 +214,15 @@ def between(time, grid, value, slope):
 
 
 def simulate(system, u, sampling_time, effects, *, hold="zero", scheduling=None, x0=None, force=None, substeps=None):
-    """Outputs (displacements) at the samples, without noise.
+    """Outputs (displacements) at the samples, without noise; arguments as of `motion`."""
+    q, v, t, substeps = motion(
+        system, u, sampling_time, effects, hold=hold, scheduling=scheduling, x0=x0, force=force, substeps=substeps
+    )
+    return sampled(q, v, t, substeps, np.asarray(u, dtype=float), np.arange(len(u)) * sampling_time, effects)
+
+
+def motion(system, u, sampling_time, effects, *, hold="zero", scheduling=None, x0=None, force=None, substeps=None):
+    """Displacements and velocities at every step, the times of the steps, and how many of them go to a sample.
 
     `effects`: any number of `Effect`; `scheduling`: one value a sample, straight lines between; `x0`: (q, q̇) at the
     start; `force` (samples, coordinates): forces added to E u, held over each sample; before the record every
@@ -278,8 +286,7 @@ def simulate(system, u, sampling_time, effects, *, hold="zero", scheduling=None,
         kinds, inputs_at, M, forces, follow, E, parameters, arms, samples * sampling_time, dt, t, drive, p, s0
     )
     path = np.asarray(path)
-    motion = path[:, :observed], path[:, len(M) : len(M) + observed]
-    return sampled(*motion, t, substeps, u, np.arange(samples) * sampling_time, effects)
+    return path[:, :observed], path[:, len(M) : len(M) + observed], t, substeps
 
 
 def sampled(q, v, grid, substeps, u, time, effects):

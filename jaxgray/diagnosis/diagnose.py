@@ -42,7 +42,7 @@ from .model.candidate import Data
 from .model.compile_ahead import compiling_ahead
 from .model.free_run import FreeRun, overall
 from .model.held_out_gain import gain_of
-from .model.simulator import Simulator
+from .model.simulator import Simulator, steps_of
 from .noise.floor import independent_floor, residual_rms
 from .result import Diagnosis
 from .routing import asked_of_forces, begin, by_force_equation, may_come_into_step
@@ -172,7 +172,7 @@ def _of_clean_records(
     data = [Data.of(r) for r in records]
     longest = max(len(d.u) for d in data)
     context = SearchContext(
-        Simulator(baseline.setup, FORCES),
+        Simulator(baseline.setup, FORCES, substeps=steps_of(baseline.model, records[0].sampling_time)),
         data,
         [Data.of(r, longest) for r in held],
         searched,

@@ -5,6 +5,7 @@ import numpy as np
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.words.sentences import times
 from ..diagnosis.words.titles import place_of, title_of
+from ..mechanics.drives import Force
 from ..mechanics.effects import AbstractEffect
 from .diagnosis_rows import (
     budget_rows,
@@ -56,6 +57,12 @@ KINDS = {
 }
 """What a place means, by where laws can act."""
 
+STOREYS = {
+    "spring": "a force between this floor and the base, on the drift of that storey",
+    "pair": "a force between these two floors, on the drift of that storey",
+}
+"""The same where the base moves."""
+
 FOLDED = 12
 """Rows from which a table is closed at first."""
 
@@ -71,7 +78,10 @@ def diagnosis_page(diagnosis: Diagnosis, document: dict) -> Page:
     causes = _causes(document)
     titles = [title_of(one["effect"], one["location"], names) for one in causes]
     laws = {term.effect.id: term.effect for term in diagnosis.terms}
-    cards = [_card(document, one, names, k, len(causes), laws.get(one["effect"])) for k, one in enumerate(causes)]
+    kinds = KINDS if isinstance(diagnosis.baseline.model.drive, Force) else KINDS | STOREYS
+    cards = [
+        _card(document, one, names, k, len(causes), laws.get(one["effect"]), kinds) for k, one in enumerate(causes)
+    ]
     badge = VERDICTS[document["verdict"]]
     return Page(
         "; ".join(titles) or badge.capitalize(),
@@ -90,9 +100,15 @@ def _causes(document: dict) -> list[dict]:
 
 
 def _card(
-    document: dict, finding: dict, names: tuple[str, ...], index: int, count: int, law: AbstractEffect | None
+    document: dict,
+    finding: dict,
+    names: tuple[str, ...],
+    index: int,
+    count: int,
+    law: AbstractEffect | None,
+    kinds: dict[str, str],
 ) -> tuple[Fact, ...]:
-    """Cause, place, parameters, gain of a finding, `index` of `count`."""
+    """Cause, place, parameters, gain of a finding, `index` of `count`; `kinds`: what a place means."""
     others = ", or ".join(
         title_of(one["effect"], one["location"], names) for one in rivals(finding) if finding["status"] == "equivalent"
     )
@@ -104,7 +120,7 @@ def _card(
     if gain and None not in gain["ci95"] and gain["ci95"][1] - gain["ci95"][0] > WIDE:
         seen += "; the interval is wide: the gain differs much between parts of the record"
     kind = (
-        "" if law is None else KINDS.get("pair" if " and " in place_of(finding["location"], names) else law.places, "")
+        "" if law is None else kinds.get("pair" if " and " in place_of(finding["location"], names) else law.places, "")
     )
     return (
         Fact("Cause", title_of(finding["effect"], "").capitalize(), f"or {others}" if others else finding["status"]),

@@ -4,6 +4,7 @@ import importlib
 
 import equinox as eqx
 import frames
+import hidden_laws
 import independent as data
 import jax
 import numpy as np
@@ -203,6 +204,18 @@ def test_steps_of_an_estimate_that_go_astray_are_taken_back(monkeypatch):
     monkeypatch.setattr(traced, "ProjectedGradientSolver", Astray)
     end = traced.gauss_newton(start, Batch.of([signals]), setting, 3)
     np.testing.assert_allclose(total_deviation(end, setting, [signals]), left, rtol=1e-6)
+
+
+def test_damaged_frames_are_simulated_as_sound_ones_where_nothing_is_damaged():
+    u = frames.three_storeys(3, samples=1500)[0]
+    plain = frames.shaken(frames.THREE.rates, u, frames.THREE_TIME)
+    found, drift = frames.shaken_with(frames.THREE, u, frames.THREE_TIME, [])
+    np.testing.assert_allclose(found, plain, atol=1e-6 * plain.std())
+    assert drift.shape == plain.shape
+    # Friction that nothing overcomes makes the storey rigid: its floors move as one.
+    effect = hidden_laws.Effect("coulomb_friction", "y2-y3", {"Fc": 1e9})
+    stuck = frames.shaken_with(frames.THREE, u, frames.THREE_TIME, [effect])[0]
+    np.testing.assert_allclose(stuck[:, 1], stuck[:, 2], atol=1e-6 * plain.std())
 
 
 def test_blocks_of_a_scaled_chain_come_back():

@@ -8,7 +8,7 @@ from ..noise.whitening import NoiseModel, counted
 from .context import SearchContext, noise_model_of
 from .gauss_newton import Refit
 from .normal_equations import weighted
-from .profile_scan import from_other_values, products_of
+from .profile_scan import from_other_values, products_of, something_left
 
 FINER = 8
 """Moments looked at for every one that a law is begun with."""
@@ -21,6 +21,9 @@ CLOSER = 8
 
 FINEST = 24
 """Moments that are looked at around each."""
+
+NEAR = 12
+"""Most moments to either side of its own from which a change is refitted."""
 
 LOCAL = 12.0
 """Standard errors by the curvature within which the likelihood is looked at most closely."""
@@ -100,6 +103,38 @@ def from_other_change_points(context: SearchContext, fit: Refit, *, max_steps: i
         return [effect.bounded(effect.combine(tried[k], weights[k]))] if np.isfinite(shares[k]) else []
 
     return from_other_values(context, fit, chosen, max_steps=max_steps, tolerance=tolerance, worth=SURE)
+
+
+def from_near_change_points(context: SearchContext, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
+    """A refit whose last term is a force that begins at once, or a better one from a moment near to its own.
+
+    Where little is damped, M, D, K that go with one moment score the moments around it wrongly, and the likelihood has
+    a hill for every period of every mode: where more than noise is left, all else is refitted at moments half of the
+    shortest period apart, over the longest one to both sides.
+
+    **Arguments:** as of `from_other_change_points`.
+    """
+    effect = fit.candidate.terms[-1].effect
+    at = _change_point_of(effect)
+    if at is None or not something_left(noise_model_of(context, fit)):
+        return fit
+    data = context.data[0]
+    plant = context.simulator.plant(fit.candidate)
+    squares = np.linalg.eigvals(np.linalg.solve(np.asarray(plant.mass), np.asarray(plant.stiffness))).real
+    angular = np.sqrt(squares[squares > 0])
+    if not len(angular):
+        return fit
+    spacing = max(np.pi / angular.max(), 2 * data.sampling_time)
+    count = int(np.clip(np.ceil(2 * np.pi / angular.min() / spacing), 1, NEAR))
+    shifts = spacing * np.concatenate([np.arange(-count, 0), np.arange(1, count + 1)])
+
+    def chosen(fit: Refit, noise_model: NoiseModel) -> list[np.ndarray]:
+        values = np.tile(np.array(fit.candidate.terms[-1].values, float), (len(shifts), 1))
+        values[:, at] += shifts
+        inside = (values[:, at] > 0) & (values[:, at] < data.samples * data.sampling_time)
+        return list(values[inside])
+
+    return from_other_values(context, fit, chosen, max_steps=max_steps, tolerance=tolerance)
 
 
 def change_point_errors(context: SearchContext, fit: Refit, index: int, errors: dict[int, float]) -> dict[int, float]:

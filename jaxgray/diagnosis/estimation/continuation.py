@@ -1,14 +1,18 @@
 """A refit carried to its end: under the noise of what it leaves, along curved valleys, in steps short enough."""
 
+import dataclasses
+
 import numpy as np
 
-from ...mechanics.effects.base import AbstractForceEffect, Term
+from ...mechanics.effects.base import AbstractForceEffect, Term, onset_of
+from ..model.candidate import Candidate
 from ..noise.whitening import NoiseModel
 from ..screening.linearization import rows_of
-from .change_points import from_other_change_points
+from .change_points import from_near_change_points, from_other_change_points, width_of
 from .context import SearchContext, noise_model_of
 from .element_sums import at_fewer_thresholds, from_other_thresholds
 from .gauss_newton import Refit, refit, with_states
+from .profile_scan import WORTH
 
 RENEWALS = 6
 """How often the noise model of a refit is renewed."""
@@ -19,15 +23,25 @@ ROUGH = 0.3
 MOST_STEPS = 16
 """Steps per sample up to which a force is followed."""
 
+EDGE_STEPS = 4
+"""Steps per sample from which the beginning of a force is followed within one of them, not within a sample."""
+
 TOLERABLE = 0.1
 """Error of the steps, relative to the noise, that is never left."""
+
+BEGUN_AGAIN = (from_other_thresholds, 25), (from_other_change_points, 25), (from_near_change_points, 8)
+"""How a refit that may have ended in a local optimum is begun again, and the most steps of every such refit."""
 
 
 def refit_to_convergence(context: SearchContext, fit: Refit) -> Refit:
     """A first refit carried to its end, whatever is noise at the forces told apart."""
     fit = along_the_valley(context, with_new_noise_models(context, fit))
-    for begun_again in (from_other_thresholds, from_other_change_points):
-        other = begun_again(context, fit, max_steps=25, tolerance=ROUGH)
+    for begun_again, steps in (
+        (from_other_thresholds, 25),
+        (from_other_change_points, 25),
+        (from_near_change_points, 8),
+    ):
+        other = begun_again(context, fit, max_steps=steps, tolerance=ROUGH)
         fit = fit if other is fit else with_new_noise_models(context, other)
     fit = at_fewer_thresholds(context, fit, max_steps=25, tolerance=ROUGH)
     return settled(context, fit, noise_model_of(context, fit))
@@ -86,12 +100,40 @@ def sharpened(context: SearchContext, fit: Refit) -> Refit:
 
     The simulator keeps the shorter steps.
     """
+    fit = with_sharp_edge(context, fit)
     steps, before = context.simulator.substeps, noise_model_of(context, fit)
     trial, error = in_short_steps(context, fit)
     if trial is fit or error > TOLERABLE or noise_model_of(context, trial).cost < before.cost - 2.0:
         return trial
     context.simulator.substeps = steps
     return fit
+
+
+def with_sharp_edge(context: SearchContext, fit: Refit) -> Refit:
+    """A refit whose last term is a force that begins at once, its beginning within a quarter of a sample where that
+    pays: what is little damped rings on after it, and tells a step from one that is smeared over a sample.
+
+    The simulator keeps the steps that follow it.
+    """
+    steps, sharp = context.simulator.substeps, _sharp(context, fit.candidate)
+    if sharp is fit.candidate:
+        return fit
+    context.simulator.substeps = max(steps, EDGE_STEPS)
+    trial = at_the_same_steps(context, dataclasses.replace(fit, candidate=sharp))
+    if noise_model_of(context, trial).cost < noise_model_of(context, fit).cost - WORTH:
+        return trial
+    context.simulator.substeps = steps
+    return fit
+
+
+def _sharp(context: SearchContext, candidate: Candidate) -> Candidate:
+    """The candidate with the edge of its last term, a force that begins at once, as steep as `EDGE_STEPS` follow."""
+    term, width = candidate.terms[-1], context.data[0].sampling_time / EDGE_STEPS
+    if not term.effect.onset or not isinstance(term.effect, AbstractForceEffect) or width_of(term) <= width:
+        return candidate
+    values = np.array(term.values, dtype=float)
+    values[onset_of(term.effect)[1]] = width
+    return candidate.with_terms((*candidate.terms[:-1], Term(term.effect, term.place, values)))
 
 
 def in_short_steps(context: SearchContext, fit: Refit) -> tuple[Refit, float]:
@@ -109,7 +151,8 @@ def in_short_steps(context: SearchContext, fit: Refit) -> tuple[Refit, float]:
 def at_the_same_steps(context: SearchContext, fit: Refit) -> Refit:
     """A refit again, in the steps that the simulator takes by now."""
     noise_model = noise_model_of(context, fit)
-    again = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=10)
+    candidate = fit.candidate if context.simulator.substeps < EDGE_STEPS else _sharp(context, fit.candidate)
+    again = refit(context.simulator, candidate, context.data, noise_model, held=context.held, max_steps=10)
     return fit if again is None else settled(context, again, noise_model)
 
 

@@ -5,12 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ...mechanics.effects.base import AbstractForceEffect
 from .candidate import Candidate, Data
 from .parameter_vector import state_step
 from .simulator import Simulator
 
 HEAD = 0.05
 """Share of a held-out record on which its first state is estimated."""
+
+
+SHORTENED = 1.0, 0.5, 0.25, 0.1, 0.02
+"""Shares of a step for the first state that are tried, the first that brings the run nearer is taken."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,9 @@ class FreeRun:
 def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: int = 4, share: float = HEAD) -> FreeRun:
     """Free run on a record that the fit has not seen, its first state estimated on the first few samples.
 
+    Gauss-Newton steps from rest and from the state of the model without its forces, shortened where they overshoot:
+    from rest a body that dry friction holds shows nothing of where else it might have been.
+
     **Arguments:** `simulator`; `candidate`, of which everything but the first state is kept; `data`; `steps`: of
     Gauss-Newton for the first state; `share` of the record used for it.
 
@@ -39,22 +47,36 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
     head = np.zeros_like(data.kept)
     length = max(int(share * data.samples), 3 * states)
     head[:length] = data.kept[:length]
-    here = Candidate(candidate.entries, (np.zeros(states),), candidate.terms)
     size = np.sqrt(np.mean(data.y[: data.samples] ** 2, axis=0))
     size = np.where(size > 0, size, 1.0)
-    best = None
-    for _ in range(steps):
-        y, J = simulator.run_and_jacobian(here, data)
-        e = np.where(head, data.y - y, 0.0)
-        if not np.all(np.isfinite(e)):
-            break
-        cost = float(np.sum((e / size) ** 2))
-        if best is not None and not cost < best[0] * (1 - 1e-6):
-            break
-        best = cost, here
-        change = state_step(e, J[:, :, len(here.entries) :][:, :, :states], head, size)
-        here = Candidate(here.entries, (here.x0[0] + change,), here.terms)
-    here = here if best is None else best[1]
+
+    def at(model: Candidate, x0) -> tuple[float, Candidate]:
+        here = Candidate(model.entries, (x0,), model.terms)
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = float(np.sum((np.where(head, data.y - simulator.run(here, data), 0.0) / size) ** 2))
+        return cost if np.isfinite(cost) else np.inf, here
+
+    def descended(model: Candidate, x0, most: int) -> tuple[float, Candidate]:
+        cost, here = at(model, x0)
+        for _ in range(most):
+            y, J = simulator.run_and_jacobian(here, data)
+            e = np.where(head, data.y - y, 0.0)
+            if not np.all(np.isfinite(e)):
+                break
+            change = state_step(e, J[:, :, len(here.entries) :][:, :, :states], head, size)
+            trials = (at(model, here.x0[0] + factor * change) for factor in SHORTENED)
+            found = next((trial for trial in trials if trial[0] < cost * (1 - 1e-6)), None)
+            if found is None:
+                break
+            cost, here = found
+        return cost, here
+
+    rest = np.zeros(states)
+    ends = [descended(candidate, rest, steps)]
+    plain = candidate.with_terms(t for t in candidate.terms if not isinstance(t.effect, AbstractForceEffect))
+    if len(plain.terms) < len(candidate.terms):
+        ends.append(descended(candidate, descended(plain, rest, 1)[1].x0[0], steps))
+    here = min(ends, key=lambda end: end[0])[1]
     y = simulator.run(here, data)
     kept = data.kept & ~head
     return FreeRun(y, np.where(data.kept, data.y - y, 0.0), kept)

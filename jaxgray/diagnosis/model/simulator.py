@@ -22,6 +22,7 @@ from ...mechanics.effects.base import (
     Term,
 )
 from ...mechanics.extended import Plant, changed_input, changed_plant, held_input, plant_motion, sensed, slots_of
+from ...mechanics.model import MechanicalModel
 from ...mechanics.tangents import Directions, run_and_tangents
 from ...numerics.stored_programs import OFTEN, ONCE, stored
 from .candidate import Candidate, Data, Setup, estimated, of_record
@@ -131,6 +132,13 @@ def _output_only(flat, y, u, sampling_time, terms):
     return y
 
 
+FOLLOWED = 0.5
+"""Angle that the fastest mode may turn within a step of an added force."""
+
+MOST_TO_BEGIN = 8
+"""Steps per sample up to which a search begins with."""
+
+
 class Form(eqx.Module):
     """A law at a place without values: what is static about a term."""
 
@@ -141,6 +149,13 @@ class Form(eqx.Module):
 def forms(terms: tuple[Term, ...]) -> tuple[Form, ...]:
     """What is static about some terms."""
     return tuple(Form(term.effect, term.place) for term in terms)
+
+
+def steps_of(model: MechanicalModel, sampling_time: float) -> int:
+    """Steps per sample that follow added forces where the fastest mode has few samples in a period: a power of two."""
+    squares = np.linalg.eigvals(np.linalg.solve(model.mass, model.stiffness)).real
+    turned = np.sqrt(max(float(np.max(squares)), 0.0)) * sampling_time
+    return int(np.clip(2 ** np.ceil(np.log2(max(turned / FOLLOWED, 1.0))), 1, MOST_TO_BEGIN))
 
 
 class Simulator:

@@ -22,7 +22,7 @@ from ..screening.shortlist import adds_mode, listed_with, shortlist
 from ..settings import CLEAR_DELTA_BIC, MIN_DELTA_BIC, MIN_EXPLAINED_SHARE
 from ..starts.equation_error import force_equation_finds, from_forces
 from ..starts.force_matching import force_matched
-from ..starts.lookalikes import refit_look_alikes, untried_look_alikes
+from ..starts.lookalikes import contained_laws, refit_look_alikes, untried_look_alikes
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
@@ -171,9 +171,9 @@ def _under_white_noise(
         context.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
         return dataclasses.replace(refit_for_free_run(context, state, attempt), noise_model=noise_model)
 
-    both = compared(context, stage, _refitted(context, state, simulated, closer) + side_by_side(again, ranked))
-    # Of two refits of one law the better.
-    best = [a for k, a in enumerate(both) if a.name not in {better.name for better in both[:k]}]
+    best = _better_ones(
+        compared(context, stage, _refitted(context, state, simulated, closer) + side_by_side(again, ranked))
+    )
     # A mode rings as coloured noise does.
     lasting = [a for a in best if not is_local(context, a.score.shape.effect) and not adds_mode(a.score.shape.effect)]
     # What coloured noise explains as well is no law: each model with the noise that it is estimated to leave.
@@ -270,9 +270,7 @@ def _refitted(context: SearchContext, state: SearchState, screening: Screening, 
     attempts = attempts_of(context, stage, listed, noise_model, state.rejected)
     ranked = compared(context, stage, list(attempts.values()))
     if forced := from_forces(context, stage, screening):
-        both = compared(context, stage, ranked + forced)
-        # Of two refits of one law the better.
-        ranked = [a for k, a in enumerate(both) if a.name not in {better.name for better in both[:k]}]
+        ranked = _better_ones(compared(context, stage, ranked + forced))
     if ranked:
         tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}
         ids = look_alikes(ranked[0].score.shape.effect, context.catalogue) - {effect for effect, _ in tried}
@@ -280,10 +278,15 @@ def _refitted(context: SearchContext, state: SearchState, screening: Screening, 
         late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
         behind = _given_up(state.rejected[before:], ranked)
         late += force_matched(context, stage, ranked[0], behind, (closer, screening), state.rejected)
-        ranked = compared(context, stage, ranked + late) if late else ranked
+        ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
     ranked = simplified(ranked)
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
+
+
+def _better_ones(ranked: list[Attempt]) -> list[Attempt]:
+    """Of several refits of one law the best, in the order they come in."""
+    return [a for k, a in enumerate(ranked) if a.name not in {better.name for better in ranked[:k]}]
 
 
 def _unsure(state: SearchState, ranked: list[Attempt], since: int) -> list[Attempt]:
@@ -315,7 +318,14 @@ def _accepted(
             words = f"coloured noise could do the same, and no more than {gain.ci99_lower:.0f} % is a sure gain"
             why = Refusal(Reason.NO_SURE_GAIN, words)
         if why is None:
-            rivals, refused = _class_of(attempt, unsure + ranked[k + 1 :])
+            others = ranked[k + 1 :]
+            simpler = _without_needless(context, state, attempt)
+            if simpler is not None:
+                first = tested(context, state, simpler, floor, given_shape)
+                if first[0] is None:
+                    attempt, gain, runs = simpler, *first[1:]
+                    others = [a for a in others if a.name != simpler.name]
+            rivals, refused = _class_of(attempt, unsure + others)
             # What was refused for its error alone, and explains as much or more, may be it all the same.
             names = {rival.name for rival in rivals}
             state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names] + refused
@@ -324,6 +334,16 @@ def _accepted(
         state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
         unsure += [attempt] if why.reason is Reason.UNCERTAIN else []
     return False
+
+
+def _without_needless(context: SearchContext, state: SearchState, attempt: Attempt) -> Attempt | None:
+    """A law without further parameters that explain nothing, refitted from where they ended; None where they pay."""
+    listed = [] if state.screening is None else contained_laws(attempt, state.screening)
+    for simpler in refit_look_alikes(context, state.stage, attempt, listed, []):
+        known, again = sorted(compared(context, state.stage, [attempt, simpler]), key=lambda a: a.name != attempt.name)
+        if needless(known, again):
+            return again
+    return None
 
 
 def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> None:

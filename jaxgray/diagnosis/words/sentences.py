@@ -4,6 +4,9 @@ import math
 import re
 import textwrap
 
+import numpy as np
+
+from ...mechanics.drives import Force
 from ...numerics.text import listed
 from ..findings import DiagnosisFields, Finding, Gain, ParameterShift
 from .titles import parameters_text, place_of, title_of, value_text
@@ -20,6 +23,9 @@ MISSED = 50.0
 MANY = 4.0
 """Ratio of an entry to what it should be from which a sentence says how many times it is."""
 
+UNLIKELY = 1000.0
+"""Change of an entry [%] from which it says more of a small entry than of a large change."""
+
 MODEL_ERRORS = {"mass_error": "mass", "damping_error": "damping", "stiffness_error": "stiffness"}
 
 
@@ -35,6 +41,7 @@ def verdict_sentence(diagnosis: DiagnosisFields) -> str:
     parts = [_missed(diagnosis, subject)]
     if causes:
         parts += _causes(diagnosis, causes)
+        parts += [_altered(diagnosis, finding) for finding in causes]
         parts += [_gain(diagnosis, causes)]
     if causes and not diagnosis.own_model:
         parts += [_hidden(diagnosis, len(causes))]
@@ -159,6 +166,26 @@ def _named(diagnosis: DiagnosisFields, causes: list[Finding], head: str) -> str:
             "; an experiment that can is proposed." if proposed else "."
         )
     return sentence
+
+
+def _altered(diagnosis: DiagnosisFields, finding: Finding) -> str:
+    """What a law that alters a matrix takes off or adds, in percent of what is there; empty for other laws."""
+    term = next((t for t in diagnosis.terms if (t.effect.id, t.place.name) == (finding.effect, finding.location)), None)
+    if term is None or not term.effect.alters or diagnosis.extended is None:
+        return ""
+    matrix, parameter = term.effect.alters
+    model, first, second = diagnosis.extended.model, term.place.first, term.place.second
+    X = np.asarray(getattr(model, matrix))
+    other = "the ground" if isinstance(model.drive, Force) else "the base"
+    ends = f"between {model.output_names[first]} and {other if second < 0 else model.output_names[second]}"
+    there = -X[first, second] if second >= 0 else X[first].sum()
+    if matrix == "mass":
+        there, ends = X[first, first], f"at {model.output_names[first]}"
+    percent = 100 * finding.parameters[parameter].value / there if there > 0 else math.nan
+    if not abs(percent) < UNLIKELY:
+        return ""
+    change = "fell" if percent < 0 else "rose"
+    return f"The {matrix} {ends} {change} by {abs(percent):.{0 if abs(percent) >= 9.95 else 1}f} %."
 
 
 def _gain(diagnosis: DiagnosisFields, causes: list[Finding]) -> str:

@@ -99,8 +99,9 @@ class AbstractEffect(eqx.Module):
     a word that laws share which a record hardly tells apart, "" for none; `repeats`: whether the force comes again and
     again over displacement; `tied_to_clock`: whether it belongs to the clock of one record, so that another record, or
     another part, may not show it; `own_phase`: whether every record has it with another phase; `onset`: parameters that
-    are the time and the width of a sudden change, none for others; `scheduled`: whether it needs a scheduling channel;
-    `stage`: whether a finding says what is missing of the "model" or wrong with the "record".
+    are the time and the width of a sudden change, none for others; `alters`: the matrix that it alters over time, and
+    the parameter that says by how much, none for others; `scheduled`: whether it needs a scheduling channel; `stage`:
+    whether a finding says what is missing of the "model" or wrong with the "record".
     """
 
     id: ClassVar[str]
@@ -119,6 +120,7 @@ class AbstractEffect(eqx.Module):
     tied_to_clock: ClassVar[bool] = False
     own_phase: ClassVar[bool] = False
     onset: ClassVar[tuple[str, str] | tuple[()]] = ()
+    alters: ClassVar[tuple[str, str] | tuple[()]] = ()
     scheduled: ClassVar[bool] = False
     stage: ClassVar[str] = "model"
 

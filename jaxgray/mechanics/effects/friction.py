@@ -12,6 +12,8 @@ SLOWEST = 1e-100
 WIDTH = 0.001
 """Velocity over which the sign turns, as a share of the typical velocity."""
 
+AT_REST = 4.0
+"""Velocity below which a body is at rest, in widths: a step may end a little beyond one."""
 
 _FORCE = Parameter("Fc", (1, 0, 0), lower=0.0, amplitude=True)
 _EPS = Parameter("eps", (0, 1, -1), lower=0.0, counts=False)
@@ -23,8 +25,10 @@ def ratio(v, width):
 
 
 def direction(here, force, eps):
-    """Sign of the velocity, turning over ± `eps`: tanh(v/eps); in a simulation the mean over the step of v/eps
-    limited to ±1.
+    """Sign of the velocity, turning over ± `eps`: v/eps limited to ±1; in a simulation its mean over the step.
+
+    Where a body is at rest and the force can hold it, it is what holds: a/(c·force), a the acceleration without it and
+    c the compliance; in a simulation the velocity there is rounding, and only an accelerometer sees the difference.
 
     While the velocity runs in a straight line from v0 to v1 that mean is, G being the integral of the limited sign,
 
@@ -34,7 +38,9 @@ def direction(here, force, eps):
     nor creeps through a rest. Its derivative is that of one Newton step.
     """
     if here.behind is None:
-        return jnp.tanh(ratio(here.v, eps))
+        holding = ratio(here.a, here.compliance * jnp.maximum(force, 0.0))
+        held = (jnp.abs(here.v) < AT_REST * eps) & (jnp.abs(holding) < 1.0)
+        return jnp.where(held, holding, jnp.clip(ratio(here.v, eps), -1.0, 1.0))
     width = jnp.maximum(eps, SLOWEST)
     first, free = here.behind / width, here.ahead / width
     stiff = here.yielding * jnp.maximum(force, 0.0) / width
@@ -87,7 +93,7 @@ class CoulombFriction(AbstractForceEffect):
 
     id = "coulomb_friction"
     family = "friction"
-    law = "f = Fc·tanh(v/eps), eps fixed"
+    law = "f = Fc·sat(v/eps), eps fixed"
     parameters = (_FORCE, _EPS)
     parity = "odd"
     signature = "square wave in phase with the velocity"
@@ -106,7 +112,7 @@ class StribeckFriction(AbstractForceEffect):
 
     id = "stribeck_friction"
     family = "friction"
-    law = "f = (Fc + (Fs − Fc)·exp(−(v/vs)²))·tanh(v/eps), eps fixed"
+    law = "f = (Fc + (Fs − Fc)·exp(−(v/vs)²))·sat(v/eps), eps fixed"
     parameters = (
         _FORCE,
         Parameter("Fs", (1, 0, 0), lower=0.0, amplitude=True),
@@ -147,7 +153,7 @@ class AsymmetricFriction(AbstractForceEffect):
 
     id = "asymmetric_friction"
     family = "friction"
-    law = "f = Fc·tanh(v/eps) + c_a·|v|, eps fixed"
+    law = "f = Fc·sat(v/eps) + c_a·|v|, eps fixed"
     parameters = (_FORCE, Parameter("c_a", (1, -1, 1), amplitude=True), _EPS)
     contains = ("coulomb_friction",)
     signature = "even harmonics in quadrature with the displacement"
@@ -188,7 +194,7 @@ class PositionDependentFriction(AbstractForceEffect):
 
     id = "position_dependent_friction"
     family = "friction"
-    law = "f = Fc·(1 + a·q)·tanh(v/eps), eps fixed"
+    law = "f = Fc·(1 + a·q)·sat(v/eps), eps fixed"
     parameters = (_FORCE, Parameter("a", (0, -1, 0), amplitude=True), _EPS)
     contains = ("coulomb_friction",)
     signature = "size of the friction varies with the position"

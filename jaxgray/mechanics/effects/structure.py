@@ -69,6 +69,7 @@ class StiffnessDrift(AbstractForceEffect):
     reference = "Poulimenos & Fassois, Mech. Syst. Signal Process. 20 (2006) 763-816"
     places = "spring"
     tied_to_clock = True
+    alters = "stiffness", "dk"
 
     def shapes(self, scales):
         return [np.array([1.0, scales.duration])]
@@ -95,6 +96,7 @@ class StiffnessStep(AbstractForceEffect):
     resembles = "change of a parameter"
     tied_to_clock = True
     onset = "t0", "width"
+    alters = "stiffness", "dk"
 
     def shapes(self, scales):
         return [np.array([1.0, t0, scales.sampling_time]) for t0 in scales.times]
@@ -127,6 +129,7 @@ class MassStep(AbstractForceEffect):
     resembles = "change of a parameter"
     tied_to_clock = True
     onset = "t0", "width"
+    alters = "mass", "dm"
 
     def shapes(self, scales):
         typical = 0.02 / max(scales.compliance, 1e-100)
