@@ -48,7 +48,7 @@ from .result import Diagnosis
 from .routing import asked_of_forces, begin, by_force_equation, may_come_into_step
 from .screening.flexible_force import FlexibleForce
 from .search.forward import recount
-from .search.long_records import search
+from .search.long_records import Searched, search
 from .search.modal_restart import from_other_modes
 from .search.state import SearchState
 from .starts.user_model import identified
@@ -188,16 +188,16 @@ def _of_clean_records(
     if model is not None:
         context = dataclasses.replace(context, identified=identified(context.simulator, records, context.data, options))
     errors = () if model is None else MODEL_ERRORS
-    state, part = search(context, baseline, max_effects, errors=errors)
+    state, searched = search(context, baseline, max_effects, errors=errors)
     if identification is not None:
         from_other_modes(context, state, identification, records)
     progress.stage("summing up")
     # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
     noise = () if state.unexplained else noise_findings(records[0], state.stage.e, state.screening.noise_model)
-    found = _assembled(context, state, baseline, identification, records, held, floor, source, noise)
+    found = _assembled(context, state, searched, baseline, identification, records, held, floor, source, noise)
     found = by_force_equation(found, context.forces)
-    if part is not None:
-        anew += (f"{part}; every number is of the refit on the whole record.",)
+    if searched.where is not None:
+        anew += (f"{searched.where}; every number is of the refit on the whole record.",)
     warnings = anew + beyond_the_fit(records, held) + found.warnings
     return dataclasses.replace(found, findings=outliers + found.findings, warnings=warnings)
 
@@ -227,6 +227,7 @@ def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
 def _assembled(
     context: SearchContext,
     state: SearchState,
+    searched: Searched,
     baseline,
     identification: Identification | None,
     records,
@@ -295,7 +296,7 @@ def _assembled(
         excess=excess,
         baseline_excess=base_excess,
         white=not state.unexplained and state.screening.noise_model.ratio == 0.0,
-        explainable=explainable_share(context, state, floor) if unexplained else None,
+        explainable=explainable_share(searched.context, searched.state, floor) if unexplained else None,
         depends_on=depends,
         rejected=rejected_of(context, state, records[0]),
         not_found=not_found_of(state.screening, context, records[0], taken),

@@ -32,3 +32,15 @@ def test_a_loss_of_stiffness_in_one_storey_is_dated_and_told_in_percent(tmp_path
     assert "The stiffness between floor1 and floor2 fell by 10 %." in found.sentence
     jaxgray.write_report(found, tmp_path / "page.html")
     assert "on the drift of that storey" in (tmp_path / "page.html").read_text()
+
+
+def test_dry_friction_in_one_storey_holds_on_held_out_data():
+    # Held-out data begin while the storey may be at rest away from zero: from rest at zero no slope leads there.
+    frame, record = shaken(hidden_laws.Effect("coulomb_friction", "y1-y2", {"Fc": 90.0}))
+    laws = "coulomb_friction,cubic_stiffness,bilinear_stiffness"
+    found = jaxgray.diagnose(record, excitation="base-acceleration", only=laws)
+    assert [(f.effect, f.location) for f in found.findings if f.stage == "model"] == [
+        ("coulomb_friction", "floor1-floor2")
+    ]
+    assert abs(found.findings[-1].parameters["Fc"].value / (90.0 / frame.masses[0]) - 1) < 0.01
+    assert found.gain.held_out and found.gain.ci99_lower > 80.0

@@ -6,6 +6,7 @@ record, such as a step of stiffness, is looked for in the whole.
 """
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,15 +35,25 @@ STEPS = 10
 """Of each refit on the whole record."""
 
 
+@dataclass(frozen=True)
+class Searched:
+    """What the search worked on: its `context`, how far it got there (`state`), and which part that was, None for the
+    whole."""
+
+    context: SearchContext
+    state: SearchState
+    where: str | None
+
+
 def search(
     context: SearchContext, baseline: Baseline, max_effects: int, *, errors: tuple[AbstractEffect, ...] = ()
-) -> tuple[SearchState, str | None]:
+) -> tuple[SearchState, "Searched"]:
     """Extend the baseline until nothing more is found, on parts of long records first.
 
     **Arguments:** `context`; `baseline`; `max_effects`; `errors`: as for `select_forward`, where numbers of a given
     model may be wrong: the whole record is then searched.
 
-    **Returns:** how far the search got, on the whole records; what it worked on, where that was a part.
+    **Returns:** how far the search got, on the whole records; what it worked on.
     """
     start, size = baseline.start, PART
     while not errors and context.data[0].samples > LONG * size:
@@ -52,11 +63,12 @@ def search(
             whole = _carried_over(context, start, state)
             if whole is not None:
                 _tied_to_clock(context, whole, max_effects)
-                return whole, where
+                return whole, Searched(part, state, where)
         if state.unexplained:
             break
         size *= LONGER
-    return select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries)), None
+    state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))
+    return state, Searched(context, state, None)
 
 
 def _part(context: SearchContext, baseline: Baseline, size: int) -> tuple[SearchContext, Candidate, str]:
