@@ -108,17 +108,20 @@ class Sampler(eqx.Module):
         h, fraction = self.sampling_time * share, j * share
         begin, middle, final, after = rows.split(_product(rows.states, x) + base + fraction * slope)
 
-        def local(s, motion, at, *within):
+        def local(s, motion, at, **within):
             u = channels + (fraction + at * share) * change
             now = t + (fraction + at * share) * self.sampling_time
-            here = (*motion[:, s], rows.compliance[s], u[s], now, u[-1], *within)
-            return Local(*(jnp.broadcast_to(X, x.shape[1:]) for X in here))
+            here = (*motion[:, s], rows.compliance[s], u[s], now, u[-1])
+            own = {name: jnp.broadcast_to(X, x.shape[1:]) for name, X in within.items()}
+            return Local(*(jnp.broadcast_to(X, x.shape[1:]) for X in here), **own)
 
-        here = [local(s, begin, 0.0) for s in range(count)]
+        here = [local(s, begin, 0.0, yielding=rows.yielding[s]) for s in range(count)]
         f0 = self._forces(here, z)
         middle = middle + _by(rows.halfway, f0)
         free = final[1] + _by(rows.ending, f0)[1] + _widened(rows.yielding, f0) * f0
-        there = [local(s, middle, 0.5, begin[1, s], free[s], rows.yielding[s]) for s in range(count)]
+        there = [
+            local(s, middle, 0.5, behind=begin[1, s], ahead=free[s], yielding=rows.yielding[s]) for s in range(count)
+        ]
         f1 = self._forces(there, self._advanced(z, here, there, h / 2))
         if self.memory:
             final = final + _by(rows.ending, f1)

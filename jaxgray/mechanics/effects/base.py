@@ -43,8 +43,8 @@ class Local(eqx.Module):
     linear model has there; `compliance`: bᵀM⁻¹b, the acceleration a unit force makes there; `u`: the input, for a
     law that acts at an input, otherwise 0; `t` [s] from the start of the record; `p`: scheduling channel, 0 without.
 
-    Inside a step of a simulation also: `behind`: velocity at its beginning; `ahead`: at its end, without this force;
-    `yielding`: velocity that a unit force takes back by then. Otherwise `behind` is None.
+    In a simulation also `yielding`: velocity that a unit force takes back within a step; inside a step `behind`:
+    velocity at its beginning; `ahead`: at its end, without this force. Otherwise these are None.
     """
 
     q: Array

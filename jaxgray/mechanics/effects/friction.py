@@ -25,18 +25,21 @@ def ratio(v, width):
 
 
 def direction(here, force, eps):
-    """Sign of the velocity, turning over ± `eps`: v/eps limited to ±1; in a simulation its mean over the step.
+    """Sign of the velocity, turning over ± `eps`: tanh(v/eps); in a simulation the mean over the step of v/eps
+    limited to ±1, and at its beginning that itself.
 
-    Where a body is at rest and the force can hold it, it is what holds: a/(c·force), a the acceleration without it and
-    c the compliance; in a simulation the velocity there is rounding, and only an accelerometer sees the difference.
+    Where a body is at rest at the beginning of a step, and the force can hold it, it is what holds: a/(c·force), a the
+    acceleration without it and c the compliance. The velocity there is rounding, and an accelerometer sees the force.
 
-    While the velocity runs in a straight line from v0 to v1 that mean is, G being the integral of the limited sign,
+    While the velocity runs in a straight line from v0 to v1 the mean is, G being the integral of the limited sign,
 
         s = (G(v1) − G(v0))/(v1 − v0),        v1 = free − y·force·s,
 
     y the velocity that a unit force takes back in a step. The solution, in closed form, neither overshoots a reversal
     nor creeps through a rest. Its derivative is that of one Newton step.
     """
+    if here.yielding is None:
+        return jnp.tanh(ratio(here.v, eps))
     if here.behind is None:
         holding = ratio(here.a, here.compliance * jnp.maximum(force, 0.0))
         held = (jnp.abs(here.v) < AT_REST * eps) & (jnp.abs(holding) < 1.0)
@@ -93,7 +96,7 @@ class CoulombFriction(AbstractForceEffect):
 
     id = "coulomb_friction"
     family = "friction"
-    law = "f = Fc·sat(v/eps), eps fixed"
+    law = "f = Fc·tanh(v/eps), eps fixed"
     parameters = (_FORCE, _EPS)
     parity = "odd"
     signature = "square wave in phase with the velocity"
@@ -112,7 +115,7 @@ class StribeckFriction(AbstractForceEffect):
 
     id = "stribeck_friction"
     family = "friction"
-    law = "f = (Fc + (Fs − Fc)·exp(−(v/vs)²))·sat(v/eps), eps fixed"
+    law = "f = (Fc + (Fs − Fc)·exp(−(v/vs)²))·tanh(v/eps), eps fixed"
     parameters = (
         _FORCE,
         Parameter("Fs", (1, 0, 0), lower=0.0, amplitude=True),
@@ -153,7 +156,7 @@ class AsymmetricFriction(AbstractForceEffect):
 
     id = "asymmetric_friction"
     family = "friction"
-    law = "f = Fc·sat(v/eps) + c_a·|v|, eps fixed"
+    law = "f = Fc·tanh(v/eps) + c_a·|v|, eps fixed"
     parameters = (_FORCE, Parameter("c_a", (1, -1, 1), amplitude=True), _EPS)
     contains = ("coulomb_friction",)
     signature = "even harmonics in quadrature with the displacement"
@@ -194,7 +197,7 @@ class PositionDependentFriction(AbstractForceEffect):
 
     id = "position_dependent_friction"
     family = "friction"
-    law = "f = Fc·(1 + a·q)·sat(v/eps), eps fixed"
+    law = "f = Fc·(1 + a·q)·tanh(v/eps), eps fixed"
     parameters = (_FORCE, Parameter("a", (0, -1, 0), amplitude=True), _EPS)
     contains = ("coulomb_friction",)
     signature = "size of the friction varies with the position"
