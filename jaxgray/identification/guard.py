@@ -20,7 +20,11 @@ def lost(end, start, setting, held_out: list[Signals]) -> bool:
 
     The squared errors of both free runs, output by output in units of the start's, compared block by block.
 
-    **Arguments:** `end`, `start`: scaled M, D, K; `setting`; `held_out`: prepared records, none of them in the fit.
+    **Arguments:** `end`, `start`: scaled M, D, K (coordinates × coordinates each); `setting`: drive, sensors and hold;
+    `held_out`: prepared records (samples × channels), none of them in the fit.
+
+    **Returns:** True where the end runs away and the start does not, or where its error is larger by more than
+    `SLIGHT` and `SURE` standard errors; False without held-out records.
     """
     if not held_out:
         return False

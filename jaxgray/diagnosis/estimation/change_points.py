@@ -4,6 +4,7 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractOutputEffect, Scales, Term, onset_of
 from ..model.candidate import Candidate
+from ..model.simulator import natural_frequencies_hz
 from ..noise.whitening import NoiseModel, counted
 from .context import SearchContext, noise_model_of
 from .gauss_newton import Refit
@@ -119,13 +120,12 @@ def from_near_change_points(context: SearchContext, fit: Refit, *, max_steps: in
     if at is None or not something_left(noise_model_of(context, fit)):
         return fit
     data = context.data[0]
-    plant = context.simulator.plant(fit.candidate)
-    squares = np.linalg.eigvals(np.linalg.solve(np.asarray(plant.mass), np.asarray(plant.stiffness))).real
-    angular = np.sqrt(squares[squares > 0])
-    if not len(angular):
+    hz = natural_frequencies_hz(context.simulator.plant(fit.candidate))
+    hz = hz[hz > 0]
+    if not len(hz):
         return fit
-    spacing = max(np.pi / angular.max(), 2 * data.sampling_time)
-    count = int(np.clip(np.ceil(2 * np.pi / angular.min() / spacing), 1, NEAR))
+    spacing = max(0.5 / hz[-1], 2 * data.sampling_time)
+    count = int(np.clip(np.ceil(1 / hz[0] / spacing), 1, NEAR))
     shifts = spacing * np.concatenate([np.arange(-count, 0), np.arange(1, count + 1)])
 
     def chosen(fit: Refit, noise_model: NoiseModel) -> list[np.ndarray]:

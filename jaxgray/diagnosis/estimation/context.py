@@ -49,7 +49,7 @@ class SearchContext:
     white: bool = False
 
 
-_noise_models: "weakref.WeakKeyDictionary[Refit, tuple[Data, Chain]]" = weakref.WeakKeyDictionary()
+_noise_models: "weakref.WeakKeyDictionary[Refit, tuple[Data, NoiseModel]]" = weakref.WeakKeyDictionary()
 
 
 def noise_model_of(context: SearchContext, fit: Refit) -> NoiseModel:

@@ -224,7 +224,7 @@ def _followed(
     costs = {name: noise_model_of(context, fit).cost + _penalty(context, score) for name, (score, fit) in fits.items()}
     best, steps = min(costs, key=costs.get), context.simulator.substeps
     sharp = sharpened(context, fits[best][1])
-    if context.simulator.substeps == steps:
+    if sharp is fits[best][1] and context.simulator.substeps == steps:
         return fits
     near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < MAX_CRITERION_GAP}
     for name, (score, _) in fits.items():

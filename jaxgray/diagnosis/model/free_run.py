@@ -61,9 +61,10 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
         for _ in range(most):
             y, J = simulator.run_and_jacobian(here, data)
             e = np.where(head, data.y - y, 0.0)
-            if not np.all(np.isfinite(e)):
+            slopes = J[:, :, len(here.entries) :][:, :, :states]
+            if not (np.all(np.isfinite(e)) and np.all(np.isfinite(slopes[head]))):
                 break
-            change = state_step(e, J[:, :, len(here.entries) :][:, :, :states], head, size)
+            change = state_step(e, slopes, head, size)
             trials = (at(model, here.x0[0] + factor * change) for factor in SHORTENED)
             found = next((trial for trial in trials if trial[0] < cost * (1 - 1e-6)), None)
             if found is None:

@@ -151,10 +151,20 @@ def forms(terms: tuple[Term, ...]) -> tuple[Form, ...]:
     return tuple(Form(term.effect, term.place) for term in terms)
 
 
+def natural_frequencies_hz(plant: MechanicalModel | Plant) -> Float[np.ndarray, " modes"]:
+    """Undamped natural frequencies [Hz], lowest first, 0 for rigid bodies; M and K need not be symmetric."""
+    values = np.linalg.eigvals(np.linalg.solve(np.asarray(plant.mass), np.asarray(plant.stiffness)))
+    return np.sort(np.sqrt(np.maximum(values.real, 0.0))) / (2 * np.pi)
+
+
 def steps_of(model: MechanicalModel, sampling_time: float) -> int:
-    """Steps per sample that follow added forces where the fastest mode has few samples in a period: a power of two."""
-    squares = np.linalg.eigvals(np.linalg.solve(model.mass, model.stiffness)).real
-    turned = np.sqrt(max(float(np.max(squares)), 0.0)) * sampling_time
+    """Steps per sample that follow added forces where the fastest mode has few samples in a period.
+
+    **Arguments:** `model`; `sampling_time` [s].
+
+    **Returns:** a power of two, from 1 to `MOST_TO_BEGIN`.
+    """
+    turned = 2 * np.pi * float(natural_frequencies_hz(model)[-1]) * sampling_time
     return int(np.clip(2 ** np.ceil(np.log2(max(turned / FOLLOWED, 1.0))), 1, MOST_TO_BEGIN))
 
 

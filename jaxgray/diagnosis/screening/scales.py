@@ -7,6 +7,7 @@ import numpy as np
 from ...mechanics.effects.base import Scales
 from ...mechanics.extended import Plant, input_matrix_of
 from ..model.candidate import Data
+from ..model.simulator import natural_frequencies_hz
 from .features import Motion
 
 LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)
@@ -22,9 +23,7 @@ def scales_at(
     lines_hz: tuple[float, ...],
 ) -> dict[tuple[str, str], Scales]:
     """Sizes in the record at every place: by kind of place (coordinate, input, output) and name."""
-    M, K = (np.asarray(X) for X in (plant.mass, plant.stiffness))
-    values = np.linalg.eigvals(np.linalg.solve(M, K))
-    frequencies = tuple(np.sort(np.sqrt(np.maximum(values.real, 0.0))) / (2 * np.pi))
+    M, frequencies = np.asarray(plant.mass), tuple(natural_frequencies_hz(plant))
     n = data.samples
     u = data.u[:n]
     map_ = np.asarray(input_matrix_of(plant.drive))

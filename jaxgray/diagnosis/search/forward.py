@@ -22,7 +22,7 @@ from ..screening.shortlist import adds_mode, listed_with, shortlist
 from ..settings import CLEAR_DELTA_BIC, MIN_DELTA_BIC, MIN_EXPLAINED_SHARE
 from ..starts.equation_error import force_equation_finds, from_forces
 from ..starts.force_matching import force_matched
-from ..starts.lookalikes import contained_laws, refit_look_alikes, untried_look_alikes
+from ..starts.lookalikes import refit_look_alikes, untried_look_alikes
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
@@ -318,14 +318,7 @@ def _accepted(
             words = f"coloured noise could do the same, and no more than {gain.ci99_lower:.0f} % is a sure gain"
             why = Refusal(Reason.NO_SURE_GAIN, words)
         if why is None:
-            others = ranked[k + 1 :]
-            simpler = _without_needless(context, state, attempt)
-            if simpler is not None:
-                first = tested(context, state, simpler, floor, given_shape)
-                if first[0] is None:
-                    attempt, gain, runs = simpler, *first[1:]
-                    others = [a for a in others if a.name != simpler.name]
-            rivals, refused = _class_of(attempt, unsure + others)
+            rivals, refused = _class_of(attempt, unsure + ranked[k + 1 :])
             # What was refused for its error alone, and explains as much or more, may be it all the same.
             names = {rival.name for rival in rivals}
             state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names] + refused
@@ -334,16 +327,6 @@ def _accepted(
         state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
         unsure += [attempt] if why.reason is Reason.UNCERTAIN else []
     return False
-
-
-def _without_needless(context: SearchContext, state: SearchState, attempt: Attempt) -> Attempt | None:
-    """A law without further parameters that explain nothing, refitted from where they ended; None where they pay."""
-    listed = [] if state.screening is None else contained_laws(attempt, state.screening)
-    for simpler in refit_look_alikes(context, state.stage, attempt, listed, []):
-        known, again = sorted(compared(context, state.stage, [attempt, simpler]), key=lambda a: a.name != attempt.name)
-        if needless(known, again):
-            return again
-    return None
 
 
 def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> None:

@@ -39,17 +39,6 @@ def untried_look_alikes(
     return listed
 
 
-def contained_laws(best: Attempt, *screenings: Screening) -> list[list[Score]]:
-    """Laws that the best one contains, at its place: begun where it ended, they end where it would without its further
-    parameters, wherever they ended on their own."""
-    listed, place = [], best.score.shape.place.name
-    for effect_id in best.score.shape.effect.contains:
-        tables = (score for screening in screenings for score in (*screening.scores, *screening.first))
-        found = (s for s in tables if (s.shape.effect.id, s.shape.place.name) == (effect_id, place))
-        listed += [[score] for score in [next(found, None)] if score is not None]
-    return listed
-
-
 def refit_look_alikes(
     context: SearchContext, stage: Stage, best: Attempt, listed: list[list[Score]], rejected: list[Rejected]
 ) -> list[Attempt]:
