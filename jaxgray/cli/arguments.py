@@ -239,6 +239,10 @@ class Diagnosing:
     ] = None
     exclude: Annotated[str | None, _option("--exclude", metavar="ID,…", help="Do not look for these effects.")] = None
     max_effects: Annotated[int, _option("--max-effects", metavar="N", help="Add at most so many effects.")] = 4
+    budget: Annotated[
+        float | None,
+        _option("--budget", metavar="SECONDS", help="End the search after this time, with the best found until then."),
+    ] = None
     seed: Annotated[int, _option("--seed", metavar="N", help="Of the random draws behind thresholds, intervals.")] = 0
     experiment: Annotated[
         Path | None,

@@ -72,6 +72,7 @@ def diagnose(
             only=only,
             exclude=exclude,
             max_effects=diagnosing.max_effects,
+            budget=diagnosing.budget,
             seed=diagnosing.seed,
             progress=progress,
             holdout=HOLDOUT if channels.holdout is None else channels.holdout,
@@ -114,6 +115,8 @@ def _check(fitting: Fitting, diagnosing: Diagnosing) -> None:
         raise ValueError("--structure and --fix are about a model that is fitted; leave them out with --model.")
     if diagnosing.max_effects < 0:
         raise ValueError(f"--max-effects={diagnosing.max_effects} is negative; give a whole number from 0.")
+    if diagnosing.budget is not None and not diagnosing.budget > 0:
+        raise ValueError(f"--budget={diagnosing.budget:g} is no time; give a positive number of seconds.")
     if diagnosing.seed < 0:
         raise ValueError(f"--seed={diagnosing.seed} is negative; give a whole number from 0.")
 

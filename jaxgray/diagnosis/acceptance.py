@@ -10,14 +10,8 @@ import abc
 import numpy as np
 
 from ..mechanics.effects.base import Term
+from . import settings
 from .findings import Gain, Reason, Refusal
-from .settings import (
-    CLEAR_DELTA_BIC,
-    MIN_DELTA_BIC,
-    MIN_EXPLAINED_SHARE,
-    MIN_STANDARD_ERRORS,
-    MIN_STANDARD_ERRORS_IF_CLEAR,
-)
 
 
 class AbstractEvidence(abc.ABC):
@@ -48,7 +42,7 @@ class AbstractEvidence(abc.ABC):
 
 def unsound(evidence: AbstractEvidence) -> Refusal | None:
     """What speaks against a candidate whatever it gains, None for nothing."""
-    if evidence.delta_bic < MIN_DELTA_BIC:
+    if evidence.delta_bic < settings.MIN_DELTA_BIC:
         return Refusal(Reason.NO_EVIDENCE, f"the refit explains too little (ΔBIC {evidence.delta_bic:.0f})")
     if evidence.follows_inputs():
         return Refusal(Reason.FEEDBACK, "the inputs follow what it leaves: a closed loop looks the same")
@@ -57,7 +51,11 @@ def unsound(evidence: AbstractEvidence) -> Refusal | None:
     if (law := evidence.other_law()) is not None:
         return Refusal(Reason.OTHER_LAW, law)
     # An amplitude that a shape moves along with has a wide error, though nothing explains the record without it.
-    least = MIN_STANDARD_ERRORS if evidence.delta_bic < CLEAR_DELTA_BIC else MIN_STANDARD_ERRORS_IF_CLEAR
+    least = (
+        settings.MIN_STANDARD_ERRORS
+        if evidence.delta_bic < settings.CLEAR_DELTA_BIC
+        else settings.MIN_STANDARD_ERRORS_IF_CLEAR
+    )
     if (size := evidence.size()) < least:
         return Refusal(Reason.UNCERTAIN, f"only {size:.1f} standard errors from nothing")
     return None
@@ -68,13 +66,16 @@ def negligible(evidence: AbstractEvidence, of: str) -> Refusal | None:
     share = evidence.explained()
     return (
         None
-        if share >= MIN_EXPLAINED_SHARE
+        if share >= settings.MIN_EXPLAINED_SHARE
         else Refusal(Reason.NEGLIGIBLE, f"explains only {100 * share:.0f} % of {of}")
     )
 
 
 def unproven(gain: Gain, on: str = "held-out data") -> Refusal | None:
-    """Whether its gain is not sure."""
+    """Whether its gain is not sure on these data, or may be a large loss on others of the kind."""
+    if gain.ci99_lower > 0 and gain.ci95[0] < -settings.MAX_LOSS:
+        words = f"may as well be a large loss on other records ({gain.percent:.1f} %, from {gain.ci95[0]:.0f} %)"
+        return Refusal(Reason.NO_SURE_GAIN, words)
     if gain.ci99_lower > 0:
         return None
     return Refusal(Reason.NO_SURE_GAIN, f"no sure gain on {on} ({gain.percent:.1f} %, from {gain.ci99_lower:.1f} %)")

@@ -1,5 +1,6 @@
 """What the simulation gets wrong, why, and what mending it buys: the pipeline, nothing else."""
 
+import contextlib
 import dataclasses
 import difflib
 
@@ -10,10 +11,11 @@ from ..identification.structure_test import StructureTest
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..mechanics.model import MechanicalModel
-from ..numerics.progress import AbstractProgress, Silent
+from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
 from ..numerics.runtime import rarely_collecting, ready, relieve
 from ..records import Record, check_compatible, preflight
 from ..records.cleaning import without_defects
+from . import settings
 from .conclusions.assembly import (
     accepted_names,
     budget_of,
@@ -36,6 +38,7 @@ from .data_checks.record_findings import noise_findings, record_findings, still_
 from .data_checks.residual_outliers import merged, without_late_outliers
 from .data_checks.sample_size import check_enough
 from .estimation.context import SearchContext
+from .estimation.measured_motion import KnownForce
 from .findings import Finding
 from .model.baseline import ADOPTED, baseline_of
 from .model.candidate import Data
@@ -53,26 +56,10 @@ from .search.modal_restart import from_other_modes
 from .search.state import SearchState
 from .starts.user_model import identified
 
-FORCES = tuple(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect))
-
-MISFIT = 1e-8
-"""Probability of the structure test from which a linear model that nothing was added to has not explained all."""
-
-MISFIT_SHARE = 25.0
-"""Share of the residual [%] that another linear model must explain where noise is coloured, which passes for a little
-more of dynamics; an effect of 1.15 times the noise explains 25 %. Twice that where noise enters at the forces."""
-
-COLOURED = 0.9
-"""Innovations over the residual, root mean squares, below which the noise is not white."""
-
-ELSEWHERE = 1.5
-"""Excess on held-out data from which more than noise is missing, whatever the data of the fit show."""
+FORCES = (*(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect)), KnownForce())
 
 PASSES = 3
 """Times that outliers are looked for in what the linear model leaves."""
-
-UNEXPLAINED = 1.05
-"""Excess over an independent noise floor from which a silent gate does not mean noise."""
 
 
 @rarely_collecting()
@@ -87,6 +74,7 @@ def diagnose(
     max_effects: int = 4,
     holdout: float = 0.3,
     seed: int = 0,
+    budget: float | None = None,
     progress: AbstractProgress | None = None,
     **options,
 ) -> Diagnosis:
@@ -102,6 +90,8 @@ def diagnose(
     - `max_effects`: how many effects may be added; default 4.
     - `holdout`: share of the record held out where no validation is given; default 0.3.
     - `seed`: of the resampling; default 0.
+    - `budget` [s]: time after which the search ends with the best that was accepted until then; the step in work, the
+      linear fit and the summing up come on top. Default no limit.
     - `progress`: told of every stage; silent by default.
     - `options`: as for `identify` (excitation, input_map, structure, fix, time_constants, …).
 
@@ -111,7 +101,9 @@ def diagnose(
     """
     ready()
     relieve()
-    progress = Silent() if progress is None else progress
+    if budget is not None and not budget > 0:
+        raise ValueError(f"budget={budget!r}; give a positive time in seconds, or None for no limit.")
+    progress = Budgeted(Silent() if progress is None else progress, budget)
     if not isinstance(max_effects, int) or max_effects < 0:
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
     searched = chosen_effects(catalogue, only, exclude)
@@ -134,11 +126,11 @@ def diagnose(
         found = _of_clean_records(used, unseen, separate, model, searched, max_effects, seed, progress, options)
     cleaned = [*used, *found.records]
     messages = [{finding.message for one in group for finding in preflight(one)} for group in (records, cleaned)]
-    return dataclasses.replace(
-        found,
-        findings=merged(record_findings(records[0]) + found.findings),
-        warnings=tuple(text for text in found.warnings if text in messages[0] or text not in messages[1]),
-    )
+    warnings = tuple(text for text in found.warnings if text in messages[0] or text not in messages[1])
+    if progress.ended is not None:
+        words = f"The search ended after its budget of {budget:g} s, before {progress.ended}: not everything was tried."
+        warnings = (words, *warnings)
+    return dataclasses.replace(found, findings=merged(record_findings(records[0]) + found.findings), warnings=warnings)
 
 
 def _of_clean_records(
@@ -190,8 +182,9 @@ def _of_clean_records(
     errors = () if model is None else MODEL_ERRORS
     state, searched = search(context, baseline, max_effects, errors=errors)
     if identification is not None:
-        from_other_modes(context, state, identification, records)
-    progress.stage("summing up")
+        with contextlib.suppress(BudgetSpent):
+            from_other_modes(context, state, identification, records)
+    progress.unlimited.stage("summing up")
     # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
     noise = () if state.unexplained else noise_findings(records[0], state.stage.e, state.screening.noise_model)
     found = _assembled(context, state, searched, baseline, identification, records, held, floor, source, noise)
@@ -265,14 +258,14 @@ def _assembled(
                 # The same, from the same draws: one finding must not have two intervals.
                 gain = state.accepted[0].gain
     mends_model = any(accepted.stage == "model" for accepted in state.accepted)
-    unexplained = state.unexplained or (source != ADOPTED and excess >= UNEXPLAINED)
+    unexplained = state.unexplained or (source != ADOPTED and excess >= settings.MIN_EXCESS)
     test = None if identification is None else identification.structure_test
     if not state.accepted and test is not None and _misfits(test, state):
         unexplained = True
     sound = [run for run, record in zip(state.baseline_runs, held) if not still_spoilt(record)]
     if not state.accepted and state.screening.noise_model.ratio == 0.0 and sound:
         # What the data of the fit pass off as slow noise, another record shows.
-        unexplained |= min(overall(run.rmse, floor) for run in sound) >= ELSEWHERE
+        unexplained |= min(overall(run.rmse, floor) for run in sound) >= settings.MIN_HELD_OUT_EXCESS
     depends = _depends_on(state) if unexplained else ()
     if unexplained and not mends_model:
         worst = int(np.argmax(residual_rms(state.stage.e, data) / floor))
@@ -319,10 +312,10 @@ def _misfits(test: StructureTest, state: SearchState) -> bool:
     of dynamics."""
     noise_model, share = state.screening.noise_model, 0.0
     if noise_model.ratio > 0.0:
-        share = 2 * MISFIT_SHARE
-    elif np.any(np.diag(noise_model.lower) < COLOURED * noise_model.level):
-        share = MISFIT_SHARE
-    return test.p_value < MISFIT and test.explained_percent > share
+        share = 2 * settings.MISFIT_SHARE
+    elif np.any(np.diag(noise_model.lower) < settings.WHITE_INNOVATIONS * noise_model.level):
+        share = settings.MISFIT_SHARE
+    return test.p_value < settings.MISFIT_PROBABILITY and test.explained_percent > share
 
 
 def _experiment(context: SearchContext, state: SearchState, record: Record, floor):
@@ -330,7 +323,7 @@ def _experiment(context: SearchContext, state: SearchState, record: Record, floo
     for accepted in state.accepted:
         if accepted.rivals:
             members = [state.fit.candidate, *(rival.fit.candidate for rival in accepted.rivals)]
-            return next_experiment(context, members, record, floor, progress=context.progress)
+            return next_experiment(context, members, record, floor, progress=context.progress.unlimited)
     return None
 
 

@@ -14,7 +14,8 @@ from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress
 from ..records import Record
-from .conclusions.equation_error import FAR, force_diagnosis
+from . import settings
+from .conclusions.equation_error import force_diagnosis
 from .conclusions.static_gain import static_diagnosis
 from .equation_error.search import Search
 from .equation_error.without_unmeasured_forces import search_forces
@@ -24,27 +25,6 @@ from .noise.whitening import white_part
 from .result import Diagnosis
 
 Route = Literal["free run", "force equation", "static gain"]
-
-ONE_LINE = 1e-3
-"""Share of an input's power off one line below which it is a single sine."""
-
-STRAIGHT = 0.5
-"""Size of the residual of a straight line relative to the motion below which motion follows its input statically."""
-
-UNDETERMINED = 0.5
-"""Relative standard error of a mass from which it is not determined."""
-
-POOR = 30.0
-"""Fit [%] of the free run below which it is of no use."""
-
-USELESS = 10.0
-"""The same where the force equation finds nothing."""
-
-USABLE = 80.0
-"""Fit [%] of the free run from which it is of use whatever the standard errors say."""
-
-NEARER = 0.5
-"""Error of the force equation's model over windows, relative to that of the free run's, from which it is the better."""
 
 NOT_MENDED = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
 """Failures of the linear fit that no other way mends."""
@@ -69,7 +49,7 @@ def begin(
     """
     identification = failure = None
     try:
-        identification = identify(records, validation=held, progress=progress, **options)
+        identification = identify(records, validation=held, progress=progress.unlimited, **options)
     except ComputationError as error:
         failure = error
         if any(error.result == one for one in NOT_MENDED) or not any(np.any(record.u) for record in records):
@@ -82,7 +62,7 @@ def begin(
             records, held, drive, catalogue, max_effects, identification=identification, rng=rng, progress=progress
         )
     in_step = identification is not None and may_come_into_step(identification)
-    if in_step and _fit(identification) >= USELESS:
+    if in_step and _fit(identification) >= settings.USELESS_FIT:
         # What the force equation hears is asked for by the loop, and a free run that is poor may hear more.
         return identification
     if route == "force equation":
@@ -95,7 +75,7 @@ def begin(
             return identification
         # What the force equation does not hear, a free run may that is poor, but not without use; and what it hears
         # may bring the free run of a body on a spring into step.
-        useless = identification is None or _fit(identification) < USELESS
+        useless = identification is None or _fit(identification) < settings.USELESS_FIT
         if (search.taken or useless) and not (search.taken and in_step):
             return force_diagnosis(search, identification)
         return identification
@@ -122,7 +102,7 @@ def asked_of_forces(
     **Returns:** a function without arguments, which searches once however often it is called and gives None where the
     force equation has no solution; None where it does not apply.
     """
-    if identification is None or not (worst_fit(identification) < USABLE or _far(records, identification)):
+    if identification is None or not (worst_fit(identification) < settings.USABLE_FIT or _far(records, identification)):
         return None
     drive = drive_by(records[0], options)
     if not isinstance(drive, Force) or "acceleration" in records[0].measured:
@@ -130,7 +110,7 @@ def asked_of_forces(
 
     @functools.cache
     def search() -> Search | None:
-        progress.stage("looking in the force equation")
+        progress.unlimited.stage("looking in the force equation")
         rng = np.random.default_rng(seed)
         try:
             return search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
@@ -142,7 +122,7 @@ def asked_of_forces(
 
 def may_come_into_step(identification: Identification) -> bool:
     """Whether the free run is poor, of a body on springs: with a law that is missing it may follow the record."""
-    return bool(np.any(identification.stiffness)) and _fit(identification) < POOR
+    return bool(np.any(identification.stiffness)) and _fit(identification) < settings.POOR_FIT
 
 
 def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | None) -> Diagnosis:
@@ -164,7 +144,7 @@ def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | No
     laws = (t for t in own.effects if isinstance(t.effect, AbstractForceEffect) and not t.effect.tied_to_clock)
     runs = search.windows.run(dataclasses.replace(own, effects=tuple(laws)))
     here, there = (runs[len(search.records) :] or runs), (search.runs[1] or search.runs[0])
-    nearer = overall(rms_of(there), rms_of(here)) < NEARER
+    nearer = overall(rms_of(there), rms_of(here)) < settings.MUCH_NEARER
     return force_diagnosis(search, found.identification) if nearer else found
 
 
@@ -188,10 +168,10 @@ def route_of(records: list[Record], identification: Identification | None, drive
         return "force equation"
     fit = _fit(identification)
     mass, errors = np.diag(identification.mass), identification.standard_errors
-    undetermined = errors is not None and np.any(np.diag(errors["mass"]) > UNDETERMINED * np.abs(mass))
-    if not np.any(identification.stiffness) and fit < USABLE:
+    undetermined = errors is not None and np.any(np.diag(errors["mass"]) > settings.UNDETERMINED_MASS * np.abs(mass))
+    if not np.any(identification.stiffness) and fit < settings.USABLE_FIT:
         return "force equation"
-    if fit < POOR or (undetermined and fit < USABLE):
+    if fit < settings.POOR_FIT or (undetermined and fit < settings.USABLE_FIT):
         return "force equation"
     return "free run"
 
@@ -200,7 +180,7 @@ def _far(records: list[Record], identification: Identification) -> bool:
     """Whether the free run of some output leaves many times the noise of its samples."""
     left = np.max([one.rmse for one in identification.estimation], axis=0)
     quiet = [np.sqrt(white_part(np.nan_to_num(r.y), np.isfinite(r.y))) for r in records]
-    return bool(np.any(left > FAR * np.max(quiet, axis=0)))
+    return bool(np.any(left > settings.NOISE_MULTIPLE * np.max(quiet, axis=0)))
 
 
 def worst_fit(identification: Identification) -> float:
@@ -221,7 +201,7 @@ def is_single_sine(record: Record) -> bool:
         # A sine's own width, and its mean that the window lets through, in bins of the padded transform.
         peak = int(np.argmax(power[12:])) + 12
         near = _refined(column, peak / (4 * len(column)))
-        if near > ONE_LINE * float(column @ column):
+        if near > settings.SINGLE_LINE_SHARE * float(column @ column):
             return False
     return bool(np.any(np.std(u, axis=0) > 0))
 
@@ -246,6 +226,6 @@ def is_static(record: Record) -> bool:
     for y in record.y.T:
         known = np.isfinite(y)
         e = y[known] - table[known] @ np.linalg.lstsq(table[known], y[known], rcond=None)[0]
-        if not np.std(e) < STRAIGHT * np.std(y[known]):
+        if not np.std(e) < settings.STATIC_RESIDUAL * np.std(y[known]):
             return False
     return True

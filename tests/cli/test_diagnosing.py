@@ -68,17 +68,20 @@ def model(tmp_path):
 
 
 def test_diagnose_holds_out_the_last_part_by_itself(asked, records, capsys):
-    run("diagnose", records[0], *CHANNELS, "--only", "coulomb_friction, end_stop", "--max-effects", "2", "--seed", "3")
+    options = ["--max-effects", "2", "--seed", "3", "--budget", "60"]
+    run("diagnose", records[0], *CHANNELS, "--only", "coulomb_friction, end_stop", *options)
     said = capsys.readouterr()
     assert said.err == "" and said.out.splitlines()[0] == asked.answer.sentence
     assert asked.record.samples == 2000
-    chosen = {name: asked.options[name] for name in ("validation", "model", "only", "exclude", "max_effects", "seed")}
+    names = ("validation", "model", "only", "exclude", "max_effects", "budget", "seed")
+    chosen = {name: asked.options[name] for name in names}
     assert chosen == {
         "validation": None,
         "model": None,
         "only": ("coulomb_friction", "end_stop"),
         "exclude": None,
         "max_effects": 2,
+        "budget": 60.0,
         "seed": 3,
     }
     assert asked.options["holdout"] == 0.3 and asked.options["excitation"] == "force"
@@ -161,6 +164,8 @@ def test_models_that_do_not_fit(asked, capsys, records, model, changes, options,
         (["--only", ","], ("--only", "empty")),
         (["--max-effects", "-1"], ("--max-effects",)),
         (["--max-effects", "few"], ("--max-effects",)),
+        (["--budget", "0"], ("--budget",)),
+        (["--budget", "soon"], ("--budget",)),
         (["--seed", "-1"], ("--seed",)),
         (["--no-refine"], ("--no-refine",)),
         (["--model", "nowhere.json"], ("nowhere.json",)),

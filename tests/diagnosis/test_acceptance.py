@@ -65,6 +65,8 @@ def test_what_explains_or_gains_too_little_is_refused():
     gain = Gain({}, 12.0, (1.0, 20.0), -0.5, True)
     assert unproven(gain).reason is Reason.NO_SURE_GAIN
     assert unproven(dataclasses.replace(gain, ci99_lower=0.5)) is None
+    loss = unproven(dataclasses.replace(gain, ci99_lower=0.5, ci95=(-503.0, 94.0)))
+    assert loss.reason is Reason.NO_SURE_GAIN and "-503 %" in loss.text
 
 
 def test_a_parameter_at_a_physical_bound_is_named():

@@ -38,3 +38,17 @@ def test_interval_reaches_as_far_as_the_gain_differs_between_records():
     assert gain.ci95[0] == pytest.approx(50.0, abs=3.0)
     assert gain.ci95[1] > 85
     assert gain.percent == alone.percent
+
+
+def test_candidates_judged_on_the_same_data_share_the_risk_of_passing_by_chance():
+    rng = np.random.default_rng(2)
+    passed = {1: 0, 20: 0}
+    for _ in range(60):
+        # No gain at all: as many as one likes pass at 1 % each.
+        before, after = runs(rng, 0.1, 0.1)
+        for trials in passed:
+            draws = np.random.default_rng(3)
+            gain = gain_of(before, after, before, FLOOR, NAMES, held_out=True, rng=draws, trials=trials)
+            passed[trials] += gain.ci99_lower > -1.0
+    # The bound lies lower for the twentieth candidate than for the first.
+    assert passed[1] > passed[20], passed

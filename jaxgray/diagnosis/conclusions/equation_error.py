@@ -8,6 +8,7 @@ from ...identification import Identification
 from ...identification.validation import fit_of
 from ...mechanics.effects.base import Term
 from ...records import Record
+from .. import settings
 from ..data_checks.record_findings import noise_findings
 from ..equation_error.library import Scores
 from ..equation_error.regression import ForceFit
@@ -18,11 +19,7 @@ from ..model.free_run import FreeRun, overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.whitening import white_part
 from ..result import Diagnosis
-from ..settings import GATE_DELTA_BIC
 from .assembly import estimates_of, shifts_of
-
-FAR = 10.0
-"""Error over windows in units of the measurement's noise from which it is unexplained where nothing was found."""
 
 
 def force_diagnosis(search: Search, identification: Identification | None) -> Diagnosis:
@@ -38,7 +35,7 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
     window = search.windows.samples * record.sampling_time
     source = f"residual of the final model over windows of {window:.3g} s"
     quiet = np.sqrt(white_part(np.nan_to_num(record.y), np.isfinite(record.y)))
-    lost = not search.taken and bool(np.any(floor > FAR * quiet))
+    lost = not search.taken and bool(np.any(floor > settings.NOISE_MULTIPLE * quiet))
     if lost:
         floor, source = np.maximum(quiet, 1e-300), "fast part of the measured motion"
     findings = [_finding(search, k) for k in range(len(search.taken))]
@@ -161,7 +158,7 @@ def _summary(search: Search, fit: ForceFit, runs: tuple[list[FreeRun], list[Free
 def _not_found(search: Search, record: Record) -> tuple[NotFound, ...]:
     result = []
     for (effect, place), one in search.scores.best_by_place().items():
-        if one.delta_bic >= GATE_DELTA_BIC:
+        if one.delta_bic >= settings.MIN_DELTA_BIC:
             continue
         shape = one.shape
         values = np.array(shape.values, float)

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ...identification.conic import pseudo_inverse
 from ...numerics.progress import AbstractProgress
 from ...records import Record
+from .. import settings
 from ..estimation.context import SearchContext
 from ..findings import NextExperiment
 from ..model.candidate import Candidate, Data
@@ -18,12 +19,6 @@ CHILDREN = 6
 
 SHORTEST = 1000
 """Samples that an experiment has at least, if the record has as many."""
-
-ENOUGH = 9.0
-"""Separation d² that tells two models apart in white noise."""
-
-BETTER = 1.5
-"""Separation relative to that of the record from which an experiment is worth proposing."""
 
 OVERFLOWING = 1e100
 """Size from which a response has no products to speak of."""
@@ -77,11 +72,11 @@ def next_experiment(
                 best = d, best[1], u
     d, name, u = best
     ids = tuple(term.terms[-1].effect.id for term in members)
-    if d < BETTER * now:
+    if d < settings.MIN_SEPARATION_RATIO * now:
         # Nothing within the amplitude and band of the record tells them apart any better.
         return None
     # Where the noise has a colour, or follows the motion, a record tells less than its samples promise.
-    enough = "; 9 is enough where the noise is white" if now < ENOUGH else ", where it was not enough"
+    enough = "; 9 is enough where the noise is white" if now < settings.SEPARATION else ", where it was not enough"
     text = (
         f"{name[0].upper()}{name[1:]}, {data.samples} samples at {record.sampling_time:g} s, within the amplitude of "
         f"the record: predicted to separate {' and '.join(ids)} by d² = {d:.0f} (this record: {now:.1f}{enough})."

@@ -3,9 +3,7 @@
 import numpy as np
 
 from ...records import Record
-
-BEYOND = 0.25
-"""Share of the range of the fit that held-out data may move beyond it."""
+from .. import settings
 
 
 def beyond_the_fit(records: list[Record], held: list[Record]) -> tuple[str, ...]:
@@ -18,7 +16,7 @@ def beyond_the_fit(records: list[Record], held: list[Record]) -> tuple[str, ...]
     if not held:
         return ()
     (low, high), (lowest, highest) = _range(records), _range(held)
-    far = np.maximum(low - lowest, highest - high) > BEYOND * (high - low)
+    far = np.maximum(low - lowest, highest - high) > settings.BEYOND_RANGE * (high - low)
     result = []
     for k in np.flatnonzero(far):
         end = lowest[k] if low[k] - lowest[k] > highest[k] - high[k] else highest[k]

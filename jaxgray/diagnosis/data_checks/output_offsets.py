@@ -12,10 +12,7 @@ from ...mechanics.model import MechanicalModel
 from ...mechanics.simulate import initial_state
 from ...numerics.text import listed
 from ...records import Record
-
-APART = 3.0
-"""Difference of two zeros, in units of the largest motion about its mean in any record, from which it is no effect of
-the dynamics."""
+from .. import settings
 
 
 def from_own_zeros(records: list[Record], model: MechanicalModel) -> tuple[list[Record], tuple[str, ...]]:
@@ -28,10 +25,10 @@ def from_own_zeros(records: list[Record], model: MechanicalModel) -> tuple[list[
     """
     means = np.array([np.nanmean(r.y, axis=0) for r in records])
     motion = np.max([np.nanstd(r.y, axis=0) for r in records], axis=0)
-    if not np.any(np.ptp(means, axis=0) > APART * motion):
+    if not np.any(np.ptp(means, axis=0) > settings.MAX_OFFSET * motion):
         return records, ()
     zeros = np.array([initial_state(model, r.u, r.y, r.sampling_time, hold=r.hold)[1] for r in records])
-    apart = np.ptp(zeros, axis=0) > APART * motion
+    apart = np.ptp(zeros, axis=0) > settings.MAX_OFFSET * motion
     warnings = tuple(_warning(records[0], k, zeros[:, k]) for k in np.flatnonzero(apart))
     taken_off = [dataclasses.replace(r, y=r.y - np.where(apart, zero, 0.0)) for r, zero in zip(records, zeros)]
     return (taken_off, warnings) if warnings else (records, ())

@@ -4,17 +4,12 @@ import numpy as np
 
 from ...identification.validation import residual_test
 from ...records import Record, preflight
+from .. import settings
 from ..findings import Estimate, Finding
 from ..noise.whitening import NoiseModel
 
-WORTH = 10.0
-"""Difference of likelihood (N ln det) from which noise at the forces is said."""
-
 SAID = 1.1
 """Free run over prediction, root mean squares, from which the difference is said."""
-
-PLAUSIBLE = 1.0
-"""Noise at the forces as large as the recorded ones: beyond, the colour of the noise is the better word."""
 
 IDS = ("sensor_clipping", "sensor_quantization", "outliers", "dropped_samples")
 LEFT_OUT = ("sensor_clipping", "outliers", "dropped_samples")
@@ -52,7 +47,11 @@ def noise_findings(used: Record, e: np.ndarray, noise_model: NoiseModel | None =
     was estimated from it, None where none was.
     """
     found = []
-    if noise_model is not None and noise_model.worth > WORTH and noise_model.ratio <= PLAUSIBLE:
+    if (
+        noise_model is not None
+        and noise_model.worth > settings.MIN_DELTA_BIC
+        and noise_model.ratio <= settings.MAX_FORCE_NOISE
+    ):
         further = float(np.max(noise_model.level / np.diag(noise_model.lower)))
         message = "Noise enters at the forces too; error bars allow for it."
         if further >= SAID:

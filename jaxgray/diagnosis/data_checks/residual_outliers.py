@@ -7,10 +7,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ...identification import Identification
 from ...records import Record
+from .. import settings
 from ..findings import Estimate, Finding
-
-MOST = 0.01
-"""Share of the samples above which spikes are the residual's own."""
 
 SIZES, NEAR, LONGEST = 8.0, 12, 2
 """How far an outlier stands out of the others, of so many on each side and of its neighbours, and samples it may last.
@@ -39,7 +37,7 @@ def _without(record: Record, residual: np.ndarray) -> Record:
     for k, kind in enumerate(record.measured):
         e = residual[:, k]
         places = standing_out(e) if kind in SMOOTH else np.zeros(0, int)
-        if len(places) <= MOST * record.samples:
+        if len(places) <= settings.MAX_OUTLIER_SHARE * record.samples:
             y[places, k] = np.nan
     return record if np.array_equal(y, record.y, equal_nan=True) else dataclasses.replace(record, y=y)
 

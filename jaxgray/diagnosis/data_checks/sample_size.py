@@ -3,10 +3,8 @@
 import numpy as np
 
 from ...records import Record
+from .. import settings
 from ..noise.whitening import AR_ORDER, counted
-
-LEAST = 20
-"""Samples of a record for validation, and samples whose past is known, without which nothing can be told."""
 
 
 def check_enough(records: list[Record], held: list[Record]) -> None:
@@ -17,13 +15,13 @@ def check_enough(records: list[Record], held: list[Record]) -> None:
     **Raises:** `ValueError` that names what is short and what to do.
     """
     for k, record in enumerate(held):
-        if record.samples < LEAST:
+        if record.samples < settings.MIN_SAMPLES:
             raise ValueError(
-                f"validation[{k}] has {record.samples} samples; give at least {LEAST}, or no validation: then the last "
-                "part of the record is held out."
+                f"validation[{k}] has {record.samples} samples; give at least {settings.MIN_SAMPLES}, or no "
+                "validation: then the last part of the record is held out."
             )
     known = sum(int(np.all(counted(np.isfinite(record.y)), axis=1).sum()) for record in records)
-    if known < LEAST:
+    if known < settings.MIN_SAMPLES:
         lost = 100 * np.mean(np.concatenate([np.isnan(record.y).ravel() for record in records]))
         raise ValueError(
             f"record: {lost:.0f} % of the outputs' samples are missing, and hardly anywhere are {AR_ORDER + 1} in "

@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from ...identification.conic import pseudo_inverse
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Place, Term, places_of
+from .. import settings
 from ..model.candidate import estimated
 from ..screening.features import Shape
 from ..screening.score_test import Score, allowed, best_by_place
-from ..settings import GATE_DELTA_BIC
 from .regression import Equation, ForceFit, Weight
 
 WIDER = (0.25, 4.0)
@@ -43,7 +43,7 @@ class Scores:
     @property
     def fires(self) -> bool:
         """Whether any candidate passes the gate."""
-        return bool(self.scores) and self.scores[0].delta_bic >= GATE_DELTA_BIC
+        return bool(self.scores) and self.scores[0].delta_bic >= settings.MIN_DELTA_BIC
 
 
 @dataclass
@@ -151,14 +151,14 @@ def _scored(shape: Shape, X: Float[np.ndarray, "rows basis"], U, e, column: int,
     ratio, penalty = -rows * np.log1p(-share), _penalty(shape, rows)
     if ratio > penalty and not allowed(shape, weights):
         return None
-    smallest = np.sqrt((penalty + GATE_DELTA_BIC) * float(e @ e) * (1 - share) / rows / power[seen].max())
+    smallest = np.sqrt((penalty + settings.MIN_DELTA_BIC) * float(e @ e) * (1 - share) / rows / power[seen].max())
     return Score(shape, weights, float(ratio), float(ratio - penalty), 0.0, float(smallest), column)
 
 
 def _cleaned(equation: Equation, tangent, left, library: Library, found, ready, U, e, weight: Weight, rows: float):
     """What is left without M, D, K, terms and the best few candidates, chosen one after the other."""
     chosen, names = [], set()
-    pool = [one for one in found if one.delta_bic > GATE_DELTA_BIC][:40]
+    pool = [one for one in found if one.delta_bic > settings.MIN_DELTA_BIC][:40]
     while len(chosen) < PICKED:
         best = None
         for one in pool:
@@ -167,7 +167,7 @@ def _cleaned(equation: Equation, tangent, left, library: Library, found, ready, 
             again = _scored(one.shape, ready[one.column], U, e, one.column, rows)
             if (
                 again is not None
-                and again.delta_bic > GATE_DELTA_BIC
+                and again.delta_bic > settings.MIN_DELTA_BIC
                 and (best is None or again.delta_bic > best.delta_bic)
             ):
                 best = again

@@ -9,12 +9,11 @@ from jaxtyping import Float
 from ...mechanics.effects.base import Term
 from ...numerics.linear_algebra import duplication, from_symmetric_vector
 from ...numerics.positive import ClarabelSolver, PositiveLeastSquares
+from .. import settings
 from ..model.candidate import estimated
 from ..noise.effective_samples import independent_share
 from .rows import Series, contribution, scales_of
 
-WORTH = 10.0
-"""ΔBIC from which damping or stiffness is in the model."""
 REMEMBERED = 500
 STEPS = 20
 _DEPENDENT = 1e-6
@@ -151,7 +150,7 @@ class Equation:
             if without is None:
                 continue
             hopeless = self.dofs == 1 and np.linalg.eigvalsh(best.matrices[block])[0] <= 0
-            if hopeless or without.criterion - best.criterion < WORTH:
+            if hopeless or without.criterion - best.criterion < settings.MIN_DELTA_BIC:
                 best = without
         # A shape found beside stiffness need not be the one without.
         if not all(best.blocks) and any(not p.amplitude and p.counts for t in terms for p in t.effect.parameters):

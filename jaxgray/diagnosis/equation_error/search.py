@@ -14,13 +14,13 @@ from ...mechanics.drives import AbstractDrive
 from ...mechanics.effects.base import AbstractEffect, Term
 from ...mechanics.model import MechanicalModel
 from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.progress import AbstractProgress
+from ...numerics.progress import AbstractProgress, BudgetSpent
 from ...records import Record
+from .. import settings
 from ..acceptance import AbstractEvidence, bound_of, negligible, unproven, unsound
 from ..findings import Gain, Reason, Refusal, Rejected
 from ..model.free_run import FreeRun, rms_of
 from ..model.held_out_gain import gain_of
-from ..settings import CLASS_DELTA_BIC, GATE_DELTA_BIC, MIN_STANDARD_ERRORS
 from .library import Library, Scores, score
 from .regression import Equation, ForceFit
 from .rows import band_of, series_of
@@ -32,9 +32,6 @@ SHORT = 8
 
 STARTS = 3
 """Shapes from which each of them is refitted."""
-
-MOST = 0.8
-"""Share of what the best law explains that a simpler one must explain to be preferred."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +138,7 @@ def search_once(
 
     **Raises:** `ComputationError` where the force equation has no solution of positive mass.
     """
-    progress.stage("setting up the force equation")
+    progress.unlimited.stage("setting up the force equation")
     E = np.asarray(drive.input_map)
     cutoff = min(map(band_of, records))
     left_out = samples_of(brief_forces, records + held)
@@ -157,7 +154,7 @@ def search_once(
     length = window_samples(records + held)
     windows = Windows(records + held, everything, length, left_out)
     names = records[0].input_names, records[0].output_names
-    progress.stage("looking for effects")
+    progress.unlimited.stage("looking for effects")
     library = Library.of(equation, catalogue, names)
     search = Search(records, held, drive, equation, library, windows, rng, progress, brief_forces=brief_forces)
     search.base = search.fit = _settled(equation, ())
@@ -169,8 +166,14 @@ def search_once(
         search.strong = False
         if turn == max_effects or not search.scores.fires:
             break
-        search.progress.stage("looking for effects" if turn == 0 else f"looking further ({turn} found)")
-        if not _round(search):
+        search.progress.unlimited.stage("looking for effects" if turn == 0 else f"looking further ({turn} found)")
+        try:
+            found = _round(search)
+        except BudgetSpent:
+            # What was seen and not all tried is left.
+            search.strong = True
+            break
+        if not found:
             break
         _backward(search)
     _recount(search)
@@ -190,7 +193,7 @@ def _trials(search: Search) -> list[Trial]:
     starts: dict[tuple[str, str], list] = {}
     for one in search.scores.scores:
         key = one.shape.effect.id, one.shape.place.name
-        if one.delta_bic < GATE_DELTA_BIC or (key not in starts and len(starts) == SHORT):
+        if one.delta_bic < settings.MIN_DELTA_BIC or (key not in starts and len(starts) == SHORT):
             continue
         if len(starts.setdefault(key, [])) < STARTS:
             starts[key].append(one)
@@ -262,7 +265,7 @@ def _ordered(search: Search, trials: list[Trial]) -> list[Trial]:
     result, pool = [], list(trials)
     while pool:
         best = max(t.explained for t in pool)
-        enough = [t for t in pool if t.explained >= MOST * best]
+        enough = [t for t in pool if t.explained >= settings.SIMPLER_SHARE * best]
         result.append(min(enough, key=lambda t: (generalises(t), t.parameters, -t.delta_bic)))
         pool.remove(result[-1])
     return result
@@ -283,6 +286,7 @@ def _round(search: Search) -> bool:
             search.rejected.append(Rejected.of(trial.name, trial.delta_bic, why))
     search.strong = bool(passed)
     names = search.records[0].output_names
+    judged = 0
     for trial in _ordered(search, passed):
         search.progress.stage(f"judging {trial.name[0]} at {trial.name[1]}")
         fit = _settled(search.equation, trial.fit.terms)
@@ -294,7 +298,9 @@ def _round(search: Search) -> bool:
             why = Refusal(Reason.NOT_SIMULATED, "its free run on windows overflows")
             search.rejected.append(Rejected.of(trial.name, trial.delta_bic, why))
             continue
-        gain = gain_of(before, after, base, rms_of(base), names, held_out=bool(runs[1]), rng=search.rng)
+        judged += 1
+        options = {"held_out": bool(runs[1]), "rng": search.rng, "trials": judged}
+        gain = gain_of(before, after, base, rms_of(base), names, **options)
         if (why := unproven(gain, "held-out windows")) is not None:
             search.rejected.append(Rejected.of(trial.name, trial.delta_bic, why, gain))
             continue
@@ -304,7 +310,9 @@ def _round(search: Search) -> bool:
             if other is trial:
                 continue
             needless = difference > 0 and _symbols(trial.term) <= _symbols(other.term)
-            if abs(difference) < CLASS_DELTA_BIC and not (needless and trial.term.place.name == other.term.place.name):
+            if abs(difference) < settings.CLASS_DELTA_BIC and not (
+                needless and trial.term.place.name == other.term.place.name
+            ):
                 rivals.append(other)
             else:
                 words = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
@@ -321,7 +329,7 @@ def _round(search: Search) -> bool:
 def _backward(search: Search) -> None:
     """Drop a law that newer ones have made needless, in the fit and held out."""
     for k in range(len(search.taken) - 1):
-        if search.fit.significance(k) >= MIN_STANDARD_ERRORS:
+        if search.fit.significance(k) >= settings.MIN_STANDARD_ERRORS:
             continue
         terms = tuple(t for j, t in enumerate(search.fit.terms) if j != k)
         fit = _settled(search.equation, terms)

@@ -10,20 +10,12 @@ import numpy as np
 
 from ...mechanics.model import MechanicalModel
 from ...records import Record
+from .. import settings
 from .regression import Equation, ForceFit
 from .rows import Series
 
-SIZES = 8.0
-"""How far a push stands out of what is left elsewhere, in robust standard deviations."""
-
 PART = 2.0
 """Down to so many of them what is left belongs to the push."""
-
-GAP = 1.5
-"""Ratio of accelerations from which the larger stand apart from the rest."""
-
-MOST = 0.05
-"""Share of the samples above which it is the model that is wrong."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +40,7 @@ def brief_forces_of(fit: ForceFit, series: list[Series], input_map: np.ndarray) 
     left = [np.abs(e) for e in equation.residual(fit)]
     usual = 1.4826 * np.median(np.concatenate(left), axis=0)
     applied = float(np.max([np.abs(force).max(initial=0.0) for force in equation.force]))
-    return _brief(left, PART * usual, np.maximum(SIZES * usual, applied), series, left, applied)
+    return _brief(left, PART * usual, np.maximum(settings.PUSH_SIZE * usual, applied), series, left, applied)
 
 
 def acceleration_outliers(series: list[Series]) -> tuple[BriefForce, ...]:
@@ -58,10 +50,10 @@ def acceleration_outliers(series: list[Series]) -> tuple[BriefForce, ...]:
     """
     sizes = [np.abs(one.a[one.rows]) for one in series]
     ranked = np.sort(np.concatenate(sizes), axis=0)
-    top = ranked[-max(int(MOST * len(ranked)), 1) - 1 :]
+    top = ranked[-max(int(settings.MAX_PUSH_SHARE * len(ranked)), 1) - 1 :]
     ratios = top[1:] / np.maximum(top[:-1], 1e-300)
     k, dofs = np.argmax(ratios, axis=0), np.arange(ranked.shape[1])
-    apart = np.where(ratios[k, dofs] > GAP, np.sqrt(top[k, dofs] * top[k + 1, dofs]), np.inf)
+    apart = np.where(ratios[k, dofs] > settings.PUSH_GAP, np.sqrt(top[k, dofs] * top[k + 1, dofs]), np.inf)
     return _brief(sizes, apart, apart, series, [np.full_like(x, np.nan) for x in sizes], np.nan)
 
 
@@ -83,7 +75,7 @@ def _brief(sizes, near, far, series: list[Series], forces, applied: float) -> tu
                     found.append(BriefForce(record, int(first), int(last), dof, force, applied))
                     on[record][first : last + 1] = True
     share = np.mean(np.concatenate(on)) if on else 0.0
-    return tuple(found) if share <= MOST else ()
+    return tuple(found) if share <= settings.MAX_PUSH_SHARE else ()
 
 
 def samples_of(brief_forces: tuple[BriefForce, ...], records: list[Record]) -> list[np.ndarray]:

@@ -5,14 +5,15 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.effects.base import AbstractForceEffect, Term, onset_of
+from .. import settings
 from ..model.candidate import Candidate
+from ..model.reversals import decided_residual
 from ..noise.whitening import NoiseModel
 from ..screening.linearization import rows_of
 from .change_points import from_near_change_points, from_other_change_points, width_of
 from .context import SearchContext, noise_model_of
 from .element_sums import at_fewer_thresholds, from_other_thresholds
 from .gauss_newton import Refit, refit, with_states
-from .profile_scan import WORTH
 
 RENEWALS = 6
 """How often the noise model of a refit is renewed."""
@@ -25,9 +26,6 @@ MOST_STEPS = 16
 
 EDGE_STEPS = 4
 """Steps per sample from which the beginning of a force is followed within one of them, not within a sample."""
-
-TOLERABLE = 0.1
-"""Error of the steps, relative to the noise, that is never left."""
 
 BEGUN_AGAIN = (from_other_thresholds, 25), (from_other_change_points, 25), (from_near_change_points, 8)
 """How a refit that may have ended in a local optimum is begun again, and the most steps of every such refit."""
@@ -99,7 +97,7 @@ def sharpened(context: SearchContext, fit: Refit) -> Refit:
     fit = with_sharp_edge(context, fit)
     steps, before = context.simulator.substeps, noise_model_of(context, fit)
     trial, error = in_short_steps(context, fit)
-    if trial is fit or error > TOLERABLE or noise_model_of(context, trial).cost < before.cost - 2.0:
+    if trial is fit or error > settings.MAX_STEP_ERROR or noise_model_of(context, trial).cost < before.cost - 2.0:
         return trial
     context.simulator.substeps = steps
     return fit
@@ -116,7 +114,7 @@ def with_sharp_edge(context: SearchContext, fit: Refit) -> Refit:
         return fit
     context.simulator.substeps = max(steps, EDGE_STEPS)
     trial = at_the_same_steps(context, dataclasses.replace(fit, candidate=sharp))
-    if noise_model_of(context, trial).cost < noise_model_of(context, fit).cost - WORTH:
+    if noise_model_of(context, trial).cost < noise_model_of(context, fit).cost - settings.MIN_DELTA_BIC:
         return trial
     context.simulator.substeps = steps
     return fit
@@ -159,8 +157,9 @@ def integration_error(context: SearchContext, fit: Refit) -> float:
         return 0.0
     data, simulator, steps = context.data[0], context.simulator, context.simulator.substeps
     simulator.substeps = 2 * steps
-    finer = simulator.run(fit.candidate, data)
+    finer, _ = decided_residual(simulator, fit.candidate, data, simulator.run(fit.candidate, data))
     simulator.substeps = steps
-    change = np.where(data.kept, data.y - fit.residual[0] - finer, 0.0)
+    # Residuals are zero where nothing was measured, or where it says nothing.
+    change = np.where((finer != 0) & (fit.residual[0] != 0), finer - fit.residual[0], 0.0)
     level = np.maximum(np.sum(fit.residual[0] ** 2, axis=0), 1e-300)
     return float(np.sqrt(np.mean(np.sum(change**2, axis=0) / level)))

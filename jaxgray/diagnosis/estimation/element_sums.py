@@ -14,6 +14,7 @@ import numpy as np
 import scipy.special
 
 from ...mechanics.effects.base import AbstractEffect, Term
+from .. import settings
 from ..noise.whitening import NoiseModel
 from .context import SearchContext, noise_model_of
 from .gauss_newton import Refit, refit
@@ -31,9 +32,6 @@ NEAR = np.array([0.85, 0.93, 0.97, 1.0, 1.03, 1.07, 1.15])
 
 APART = (1.1, 1.3)
 """Sets that are refitted: the best, and the best with a threshold so far from all of that."""
-
-BY_CHANCE = 0.01
-"""Probability at which chance alone makes further thresholds pay."""
 
 ONE = 1e-3
 """Relative difference up to which thresholds are the same."""
@@ -98,7 +96,7 @@ def at_fewer_thresholds(context: SearchContext, fit: Refit, *, max_steps: int, t
     options = {"held": context.held, "max_steps": max_steps, "tolerance": tolerance}
     whole = refit(context.simulator, fit.candidate, context.data, noise_model, **options)
     for distinct in range(1, len(elements)) if whole is not None else ():
-        most = scipy.special.chdtri(2 * (len(elements) - distinct), BY_CHANCE)
+        most = scipy.special.chdtri(2 * (len(elements) - distinct), settings.SIGNIFICANCE)
         for values in _chosen(context, fit, noise_model, elements, distinct)[:1]:
             terms = (*fit.candidate.terms[:-1], Term(term.effect, term.place, values))
             few = refit(context.simulator, fit.candidate.with_terms(terms), context.data, noise_model, **options)

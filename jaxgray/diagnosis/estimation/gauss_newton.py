@@ -14,6 +14,7 @@ from ...identification.conic import pseudo_inverse, step_inside, undetermined
 from ...numerics.positive import ClarabelSolver
 from ..model.candidate import Candidate, Data, Setup
 from ..model.parameter_vector import Layout, state_step
+from ..model.reversals import decided_residual
 from ..model.simulator import Simulator
 from ..noise.whitening import NoiseModel
 from .normal_equations import Equations
@@ -235,7 +236,7 @@ def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: in
             x0 = tuple(x + change if j == k else x for j, x in enumerate(candidate.x0))
             trial = Candidate(candidate.entries, x0, candidate.terms)
             y, J = simulator.run_and_jacobian(trial, d, k)
-            new = np.where(d.kept, d.y - y, 0.0)
+            new, J = decided_residual(simulator, trial, d, y, J, k)
             if not np.sum((new / scale) ** 2) < np.sum((e / scale) ** 2):
                 break
             candidate, residuals[k], jacobians[k] = trial, new, J

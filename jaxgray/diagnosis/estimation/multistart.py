@@ -9,16 +9,17 @@ from ...mechanics.effects.base import Term
 from ...mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ...mechanics.extended import arm_of
 from ...numerics.side_by_side import side_by_side
+from .. import settings
 from ..acceptance import at_its_bound
 from ..findings import NOT_SIMULATED, Reason, Refusal, Rejected
 from ..noise.whitening import NoiseModel
 from ..screening.linearization import Stage, rows_of
 from ..screening.score_test import Score
-from ..settings import CONTACT, LOOK_ALIKE_DELTA_BIC, MAX_CRITERION_GAP
 from .change_points import dated, softened, width_of
 from .context import SearchContext, noise_model_of
 from .continuation import ROUGH, at_the_same_steps, refit_to_convergence, sharpened
 from .gauss_newton import Refit, refit
+from .measured_motion import along_measured_motion
 from .normal_equations import weighted
 from .significance import at_bound, evidence
 
@@ -143,7 +144,7 @@ def _outright(
             rejected.append(Rejected.of(name, scores[0].delta_bic, why))
     going: dict[tuple[str, str], tuple[Score, Refit]] = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
-        if criterion > best + MAX_CRITERION_GAP:
+        if criterion > best + settings.MAX_CRITERION_GAP:
             rejected.append(Rejected.of(name, score.delta_bic, dominated(criterion - best)))
             continue
         bound = at_bound(fit, len(fit.candidate.terms) - 1)
@@ -179,7 +180,7 @@ class _Base:
         fit = fit if again is None else again
         # Noise at the forces may hide what a law is worth.
         most = criterion_of(context, score, fit) + (
-            LOOK_ALIKE_DELTA_BIC if noise_model.ratio == 0.0 else MAX_CRITERION_GAP
+            settings.MIN_DELTA_BIC if noise_model.ratio == 0.0 else settings.MAX_CRITERION_GAP
         )
         return cls(score, fit, noise_model, most)
 
@@ -226,7 +227,7 @@ def _followed(
     sharp = sharpened(context, fits[best][1])
     if sharp is fits[best][1] and context.simulator.substeps == steps:
         return fits
-    near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < MAX_CRITERION_GAP}
+    near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < settings.MAX_CRITERION_GAP}
     for name, (score, _) in fits.items():
         if name not in near:
             rejected.append(Rejected.of(name, score.delta_bic, dominated(costs[name] - costs[best])))
@@ -241,7 +242,7 @@ def by_contact(context: SearchContext, attempt: Attempt, stage: Stage) -> Attemp
     """The attempt under the name that its contact gives it: backlash where the gap is left in more than half of the
     samples, an end stop where in fewer; the law is the same. Under its own where the other is not looked for."""
     term = attempt.fit.candidate.terms[-1]
-    if term.effect.id not in CONTACT:
+    if term.effect.id not in settings.CONTACT:
         return attempt
     arm = np.asarray(arm_of(term, stage.plant))
     data = context.data[0]
@@ -266,10 +267,10 @@ def first_fit(context: SearchContext, stage: Stage, score: Score, noise_model: N
     fit = None
     nothing = float(np.sum(weighted(noise_model, stage.e[:, :, None], context.data[0].kept) ** 2))
     with np.errstate(over="ignore"):
-        abandon = np.exp((best + 2 * MAX_CRITERION_GAP - _penalty(context, score)) / rows_of(context.data[0]))
+        abandon = np.exp((best + 2 * settings.MAX_CRITERION_GAP - _penalty(context, score)) / rows_of(context.data[0]))
     for term in softened(score.shape.term(score.weights), score.shape.scales):
         if fit is not None:
-            if fit.count * np.log(max(fit.cost, 1e-300)) > best + 10 * MAX_CRITERION_GAP:
+            if fit.count * np.log(max(fit.cost, 1e-300)) > best + 10 * settings.MAX_CRITERION_GAP:
                 return fit
             # What was found so far, with the edge of the step made sharper.
             fixed = [j for j, p in enumerate(term.effect.parameters) if not p.counts]
@@ -303,8 +304,10 @@ def first_fit(context: SearchContext, stage: Stage, score: Score, noise_model: N
                 begun = again
             if begun is not None and not begun.converged:
                 options["abandon"] = min(abandon, begun.cost)
-                # Or from all of it, the linear model giving back what it took before the term itself moves.
-                again = refit(context.simulator, begin, context.data, noise_model, last_after=HELD_BACK, **options)
+                # Or the linear model gives back what it took before the free run of the term counts.
+                measured = along_measured_motion(context, stage, score, tolerance=ROUGH)
+                start, more = (begin, {"last_after": HELD_BACK}) if measured is None else (measured, {})
+                again = refit(context.simulator, start, context.data, noise_model, **more, **options)
                 begun = again if again is not None and again.cost < begun.cost else begun
         fit = begun
         if fit is None:

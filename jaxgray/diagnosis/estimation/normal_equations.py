@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.candidate import Candidate, Data
+from ..model.reversals import decided_residual
 from ..model.simulator import Simulator
 from ..noise.whitening import SETTLING, NoiseModel, counted
 
@@ -38,9 +39,13 @@ class Equations:
 
     def __call__(self, candidate: Candidate):
         runs = [self.simulator.run_and_jacobian(candidate, d, k) for k, d in enumerate(self.data)]
-        residuals = [np.where(d.kept, d.y - y, 0.0) for d, (y, _) in zip(self.data, runs)]
-        if not all(np.all(np.isfinite(e)) and np.all(np.isfinite(J)) for e, (_, J) in zip(residuals, runs)):
+        if not all(np.all(np.isfinite(y)) and np.all(np.isfinite(J)) for y, J in runs):
             return None
+        runs = [
+            decided_residual(self.simulator, candidate, d, y, J, k)
+            for k, (d, (y, J)) in enumerate(zip(self.data, runs))
+        ]
+        residuals = [e for e, _ in runs]
         H, g, cost, count = 0.0, 0.0, 0.0, 0
         for k, d in enumerate(self.data):
             both = self._rows(runs[k][1], residuals[k], d)
@@ -74,7 +79,7 @@ class Equations:
         H, g, jacobians, slope = now[0], now[1], now[5], 0.0
         ahead = self.layout.candidate(self.layout.moved(theta, AHEAD * change, candidate), candidate)
         for k, d in enumerate(self.data):
-            e = np.where(d.kept, d.y - self.simulator.run(ahead, d, k), 0.0)
+            e, _ = decided_residual(self.simulator, ahead, d, self.simulator.run(ahead, d, k), record=k)
             if not np.max(np.abs(e)) <= LARGEST:
                 return None
             both = self._rows(jacobians[k], e, d)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...mechanics.effects.base import Term
 from ...numerics.side_by_side import side_by_side
+from .. import settings
 from ..model.candidate import Candidate
 from ..noise.whitening import NoiseModel, white_noise_model
 from ..screening.features import features
@@ -24,16 +25,12 @@ from .gauss_newton import Refit, refit
 TURNS = 3
 """Times that values are chosen, every time with M, D, K of the refit before, as long as that pays."""
 
-COLOURED = 0.9
-"""Innovations over the residual, root mean squares, below which something is left to find."""
-
-WORTH = 10.0
-"""Difference in N ln cost from which another refit is the better one."""
-
 
 def something_left(noise_model: NoiseModel) -> bool:
     """Whether a refit leaves more than white noise."""
-    return noise_model.ratio > 0.0 or bool(np.any(np.diag(noise_model.lower) < COLOURED * noise_model.level))
+    return noise_model.ratio > 0.0 or bool(
+        np.any(np.diag(noise_model.lower) < settings.WHITE_INNOVATIONS * noise_model.level)
+    )
 
 
 def from_other_values(
@@ -43,7 +40,7 @@ def from_other_values(
     *,
     max_steps: int,
     tolerance: float,
-    worth: float = WORTH,
+    worth: float = settings.MIN_DELTA_BIC,
 ) -> Refit:
     """A refit, or a better one from other values of its last term.
 

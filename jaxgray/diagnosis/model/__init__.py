@@ -3,6 +3,7 @@
 candidate         records padded to few sizes, parametrisation, candidate
 parameter_vector  the vector that a refit moves
 simulator         free run and Jacobian of a candidate
+reversals         samples of accelerometers that no simulation of dry friction decides
 free_run          free run over data with a first state fitted to their head
 held_out_gain     gain of one free run over another, with its interval
 baseline          the model that a diagnosis starts from

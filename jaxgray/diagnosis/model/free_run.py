@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ...mechanics.effects.base import AbstractForceEffect
 from .candidate import Candidate, Data
 from .parameter_vector import state_step
+from .reversals import decided_residual
 from .simulator import Simulator
 
 HEAD = 0.05
@@ -79,8 +80,8 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
         ends.append(descended(candidate, descended(plain, rest, 1)[1].x0[0], steps))
     here = min(ends, key=lambda end: end[0])[1]
     y = simulator.run(here, data)
-    kept = data.kept & ~head
-    return FreeRun(y, np.where(data.kept, data.y - y, 0.0), kept)
+    e, _ = decided_residual(simulator, here, data, y)
+    return FreeRun(y, e, data.kept & ~head)
 
 
 def overall(rmse: Float[np.ndarray, " outputs"], floor: Float[np.ndarray, " outputs"]) -> float:

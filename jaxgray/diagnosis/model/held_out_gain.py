@@ -10,13 +10,14 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float, Int
 
+from .. import settings
 from ..findings import Gain
 from .free_run import FreeRun
 
 SHORT = 40
 """Pieces that the bootstrap draws from."""
 
-RESAMPLES = 500
+RESAMPLES = 2000
 
 LONG = (4, 5, 6, 8, 12)
 """Pieces of the jackknife; the number with the largest spread counts."""
@@ -32,12 +33,14 @@ def gain_of(
     held_out: bool,
     rng: np.random.Generator,
     seen: tuple[list[FreeRun], list[FreeRun], list[FreeRun]] | None = None,
+    trials: int = 1,
 ) -> Gain:
     """Gain from one model to the next, with its intervals.
 
     **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
     `names` of outputs; `held_out`; `rng`; `seen`: the same three on the data of the fit, for gains on
-    held-out data.
+    held-out data; `trials`: candidates judged on these data so far, this one included, which share the probability that
+    one of them passes by chance (Bonferroni).
 
     **Returns:** a `Gain`.
 
@@ -54,7 +57,7 @@ def gain_of(
         fitted = _Pieces(seen, floor, 1)
         between = abs(float(fitted.left(np.arange(len(fitted))) - short.left(everything)))
     interval = _interval(runs, floor, between)
-    return Gain(pairs, percent, interval, float(np.quantile(draws, 0.01)), held_out)
+    return Gain(pairs, percent, interval, float(np.quantile(draws, settings.HELD_OUT_RISK / trials)), held_out)
 
 
 class _Pieces:

@@ -135,6 +135,9 @@ def _output_only(flat, y, u, sampling_time, terms):
 FOLLOWED = 0.5
 """Angle that the fastest mode may turn within a step of an added force."""
 
+FOLLOWED_BY_ACCELEROMETERS = 0.1
+"""The same where accelerations are measured, which see at once when a force jumps."""
+
 MOST_TO_BEGIN = 8
 """Steps per sample up to which a search begins with."""
 
@@ -165,7 +168,8 @@ def steps_of(model: MechanicalModel, sampling_time: float) -> int:
     **Returns:** a power of two, from 1 to `MOST_TO_BEGIN`.
     """
     turned = 2 * np.pi * float(natural_frequencies_hz(model)[-1]) * sampling_time
-    return int(np.clip(2 ** np.ceil(np.log2(max(turned / FOLLOWED, 1.0))), 1, MOST_TO_BEGIN))
+    followed = FOLLOWED_BY_ACCELEROMETERS if "acceleration" in model.measured else FOLLOWED
+    return int(np.clip(2 ** np.ceil(np.log2(max(turned / followed, 1.0))), 1, MOST_TO_BEGIN))
 
 
 class Simulator:

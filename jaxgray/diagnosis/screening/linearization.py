@@ -1,5 +1,6 @@
 """One round of the diagnosis: what is left of a model's free run, and what would explain it."""
 
+import weakref
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from ...mechanics.extended import Plant, input_matrix_of
 from ...mechanics.statespace import StateSpace, sampled
 from ...numerics.stored_programs import ONCE, stored
 from ..model.candidate import Candidate, Data
+from ..model.reversals import decided_residual
 from ..model.simulator import Simulator
 from ..noise.smoother import smoothed_states
 from ..noise.whitening import NoiseModel, counted, estimate_noise_model, white_noise_model
@@ -19,7 +21,7 @@ from .score_test import Screening, screen
 from .spectral_lines import lines_of
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stage:
     """A model on the estimation record: residual, sensitivities and the means to look further.
 
@@ -45,7 +47,7 @@ class Stage:
 def stage_of(simulator: Simulator, candidate: Candidate, data: Data, record: int = 0) -> Stage:
     """Simulate a candidate and gather what a round needs."""
     y, J = simulator.run_and_jacobian(candidate, data, record)
-    e = np.where(data.kept, data.y - y, 0.0)
+    e, J = decided_residual(simulator, candidate, data, y, J, record)
     plant = simulator.plant(candidate)
     q, v = simulator.motion(candidate, data, record)
     system = sampled_plant(plant, data, simulator.setup.dofs)
@@ -108,8 +110,18 @@ def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Fea
     return features(stage.plant, motion, data, catalogue, scales, inputs, outputs, stage.taken | stage.ruled_out)
 
 
+_measured: "weakref.WeakKeyDictionary[Stage, tuple[Data, Motion]]" = weakref.WeakKeyDictionary()
+
+
 def measured_motion(stage: Stage, data: Data) -> Motion:
-    """The measured motion, smoothed: the simulated one and what the residual says of the states."""
+    """The measured motion, smoothed: the simulated one and what the residual says of the states; made once a stage."""
+    known = _measured.get(stage)
+    if known is None or known[0] is not data:
+        _measured[stage] = known = data, _smoothed(stage, data)
+    return known[1]
+
+
+def _smoothed(stage: Stage, data: Data) -> Motion:
     plant, h = stage.plant, data.sampling_time
     dofs = plant.mass.shape[0]
     push = np.linalg.solve(np.asarray(plant.mass), np.eye(dofs)) * h**2

@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float
 
 from ...identification.conic import pseudo_inverse
 from ...mechanics.effects.base import limits
+from .. import settings
 from ..model.candidate import Data
 from ..noise.whitening import SETTLING, NoiseModel, estimate_noise_model
-from ..settings import GATE_DELTA_BIC, SIGNIFICANCE
 from .features import Features, Shape
 from .projections import Products
 
@@ -73,7 +73,7 @@ class Screening:
     @property
     def shows(self) -> bool:
         """Whether any candidate is worth a refit."""
-        return bool(self.scores) and self.scores[0].delta_bic >= GATE_DELTA_BIC
+        return bool(self.scores) and self.scores[0].delta_bic >= settings.MIN_DELTA_BIC
 
     @property
     def fires(self) -> bool:
@@ -81,7 +81,7 @@ class Screening:
         best = list(self.best_by_place().values())
         if not best or best[0].delta_bic < self.threshold:
             return False
-        return min(score.p_value for score in best) * len(best) < SIGNIFICANCE
+        return min(score.p_value for score in best) * len(best) < settings.SIGNIFICANCE
 
 
 def best_by_place(scores: tuple[Score, ...]) -> dict[tuple[str, str], Score]:
@@ -123,7 +123,7 @@ def score_all(products: Products, features: Features) -> tuple[tuple[Score, ...]
             continue
         p = float(scipy.special.chdtrc(seen, ratio)) * shape.tried if worth else 1.0
         variance = products.power * (1 - share) / m
-        smallest = float(np.sqrt((penalty + GATE_DELTA_BIC) * variance) / size)
+        smallest = float(np.sqrt((penalty + settings.MIN_DELTA_BIC) * variance) / size)
         scores.append(Score(shape, weights, float(ratio), float(ratio - penalty), p, smallest, int(columns[0])))
     scores.sort(key=lambda s: -s.delta_bic)
     return tuple(scores), overflowed
@@ -186,9 +186,9 @@ def screen(
             scores, _ = score_all(products, few)
     products = Products(noise_model, e, J, features.responses, data.kept)
     scores, overflowed = score_all(products, features)
-    threshold = GATE_DELTA_BIC
-    if surrogates and scores and GATE_DELTA_BIC < scores[0].delta_bic < 100.0:
-        threshold = max(GATE_DELTA_BIC, _calibrated(products, scores, surrogates, rng))
+    threshold = settings.MIN_DELTA_BIC
+    if surrogates and scores and settings.MIN_DELTA_BIC < scores[0].delta_bic < 100.0:
+        threshold = max(settings.MIN_DELTA_BIC, _calibrated(products, scores, surrogates, rng))
     return Screening(scores, noise_model, products.rows, clean, threshold, overflowed, first)
 
 
@@ -203,7 +203,7 @@ def without(
     picked: int,
 ) -> Float[np.ndarray, "samples outputs"]:
     """The residual without sensitivities and without the best responses, chosen one after the other."""
-    pool = [s for s in scores if s.delta_bic > GATE_DELTA_BIC][:60]
+    pool = [s for s in scores if s.delta_bic > settings.MIN_DELTA_BIC][:60]
     # Columns of the pool, and where each of its shapes has its own among them.
     columns = np.concatenate([np.arange(s.column, s.column + len(s.shape.basis)) for s in pool]) if pool else []
     ends = np.cumsum([len(s.shape.basis) for s in pool])
@@ -220,7 +220,7 @@ def without(
                 continue
             share, _ = here.taken(own)
             gain = -here.rows * np.log1p(-share) - _penalty(s.shape, here.rows)
-            if gain > GATE_DELTA_BIC and (best is None or gain > best[0]):
+            if gain > settings.MIN_DELTA_BIC and (best is None or gain > best[0]):
                 best = gain, s, own
         if best is None:
             break

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect, AbstractMatrixEffect
-from ..settings import MIN_DELTA_BIC
+from .. import settings
 from .flexible_force import FlexibleForce
 from .score_test import Score, Screening
 
@@ -30,7 +30,7 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
     def add(ranking, count):
         ids = {key[0] for key in chosen}
         for key, score in ranking.items():
-            if count == 0 or score.delta_bic < MIN_DELTA_BIC:
+            if count == 0 or score.delta_bic < settings.MIN_DELTA_BIC:
                 return
             if key in chosen or key[0] in ids or key[0] == FlexibleForce.id:
                 continue
@@ -54,14 +54,19 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
     if near:
         first = next(iter(near))
         for key, score in near.items():
-            if key[0] == first[0] and key not in chosen and score.delta_bic > MIN_DELTA_BIC and len(chosen) < TRIED + 1:
+            if (
+                key[0] == first[0]
+                and key not in chosen
+                and score.delta_bic > settings.MIN_DELTA_BIC
+                and len(chosen) < TRIED + 1
+            ):
                 chosen[key] = []
                 break
     # A law that contains one of these is its refit with little more to find.
     simple = set(chosen)
     for key, score in ((key, score) for table in tables for key, score in table.items()):
         inside = any((simpler, key[1]) in simple for simpler in score.shape.effect.contains)
-        if inside and key not in chosen and score.delta_bic > MIN_DELTA_BIC:
+        if inside and key not in chosen and score.delta_bic > settings.MIN_DELTA_BIC:
             chosen[key] = []
     # What a law may turn out to be must not go unheard.
     turns = {

@@ -97,12 +97,14 @@ def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: 
     runs = [held_out_run(context, attempt.fit.candidate, d) for d in context.validation]
     if not all(np.all(np.isfinite(run.e)) for run in runs):
         return Refusal(Reason.NOT_SIMULATED, "its free run on held-out data overflows"), None, None
-    gain = gain_of(state.runs, runs, state.baseline_runs, floor, names, held_out=True, rng=context.rng, seen=seen)
+    state.trials += 1
+    options = {"held_out": True, "rng": context.rng, "trials": state.trials}
+    gain = gain_of(state.runs, runs, state.baseline_runs, floor, names, seen=seen, **options)
     if (why := unproven(gain)) is not None:
         return why, gain, None
     if state.provisional is not None:
         lent = state.accepted[-1].runs
-        more = gain_of(lent, runs, state.baseline_runs, floor, names, held_out=True, rng=context.rng)
+        more = gain_of(lent, runs, state.baseline_runs, floor, names, **options)
         if unproven(more) is not None:
             why = "no sure gain on held-out data beyond that of what was lent its place"
             return Refusal(Reason.NO_SURE_GAIN, why), more, None

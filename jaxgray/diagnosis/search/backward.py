@@ -10,6 +10,7 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.effects.base import Term
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit, refit, with_states
 from ..estimation.multistart import moving
@@ -17,11 +18,7 @@ from ..estimation.significance import evidence, significance
 from ..findings import Reason, Refusal, Rejected
 from ..model.candidate import Candidate
 from ..model.parameter_vector import Layout
-from ..settings import MIN_DELTA_BIC, MIN_STANDARD_ERRORS
 from .state import SearchState, held_out_run, stage_of_candidate
-
-LITTLE = 3.0
-"""Standard errors from nothing up to which a parameter beyond those of a simpler law is doubted."""
 
 
 def prune(context: SearchContext, state: SearchState) -> None:
@@ -51,7 +48,7 @@ def _unite(context: SearchContext, state: SearchState) -> None:
     fit, ratio, rows = found
     gone = state.accepted[k]
     change = ratio - gone.attempt.score.shape.free * np.log(rows)
-    if change >= MIN_DELTA_BIC:
+    if change >= settings.MIN_DELTA_BIC:
         return
     why = f"contained in {wide.effect.id}, which explains as much alone"
     state.rejected.append(Rejected.of(gone.attempt.name, change, Refusal(Reason.NEEDLESS, why)))
@@ -80,7 +77,7 @@ def _dropped(context: SearchContext, state: SearchState) -> bool:
     """Drop one accepted term that explains nothing beside the others; whether there was one."""
     layout = Layout(context.simulator.setup, state.fit.candidate)
     for k in range(len(state.accepted)):
-        if significance(state.fit, layout, k) >= MIN_STANDARD_ERRORS:
+        if significance(state.fit, layout, k) >= settings.MIN_STANDARD_ERRORS:
             continue
         terms = tuple(t for j, t in enumerate(state.fit.candidate.terms) if j != k)
         found = _instead(context, state, state.fit.candidate.with_terms(terms))
@@ -89,7 +86,7 @@ def _dropped(context: SearchContext, state: SearchState) -> bool:
         gone = state.accepted[k].attempt
         fit, ratio, rows = found
         change = ratio - gone.score.shape.free * np.log(rows)
-        if change < MIN_DELTA_BIC:
+        if change < settings.MIN_DELTA_BIC:
             state.accepted.pop(k)
             why = Refusal(Reason.NEEDLESS, "needless once the others are in the model")
             state.rejected.append(Rejected.of(gone.name, change, why))
@@ -149,7 +146,7 @@ def _doubtful(context: SearchContext, state: SearchState, k: int, simpler) -> bo
     errors = np.sqrt(np.maximum(np.diag(state.fit.covariance), 0.0))
     term, common = state.fit.candidate.terms[k], {p.name for p in simpler.parameters}
     further = [
-        abs(float(term.values[j])) <= LITTLE * errors[layout.first + at]
+        abs(float(term.values[j])) <= settings.DOUBTFUL_STANDARD_ERRORS * errors[layout.first + at]
         for at, (owner, j) in enumerate(layout.terms)
         if owner == k and term.effect.parameters[j].name not in common
     ]

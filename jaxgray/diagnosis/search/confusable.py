@@ -6,17 +6,11 @@ import numpy as np
 import scipy.special
 
 from ...mechanics.effects.base import AbstractEffect
+from .. import settings
 from ..estimation.multistart import Attempt
-from ..settings import CLASS_DELTA_BIC, LOOK_ALIKE_DELTA_BIC
 
-LEVEL = 0.01
-"""Probability at which chance alone makes further parameters of a law pay."""
-
-CLEARLY = float(np.sqrt(scipy.special.chdtri(1, LEVEL)))
+CLEARLY = float(np.sqrt(scipy.special.chdtri(1, settings.SIGNIFICANCE)))
 """The same in standard errors of one parameter."""
-
-STANDING_LEVEL = 0.1
-"""The same for laws that stand for one another: a parameter that may well be there leaves both of them."""
 
 
 def look_alikes(effect: AbstractEffect, catalogue: Iterable[AbstractEffect]) -> frozenset[str]:
@@ -31,7 +25,11 @@ def resemble(one: AbstractEffect, other: AbstractEffect) -> bool:
 
 def alike(best: Attempt, other: Attempt) -> float:
     """Difference of BIC within which two attempts count as one class."""
-    return LOOK_ALIKE_DELTA_BIC if resemble(other.score.shape.effect, best.score.shape.effect) else CLASS_DELTA_BIC
+    return (
+        settings.MIN_DELTA_BIC
+        if resemble(other.score.shape.effect, best.score.shape.effect)
+        else settings.CLASS_DELTA_BIC
+    )
 
 
 def simplified(ranked: list[Attempt]) -> list[Attempt]:
@@ -60,5 +58,5 @@ def needless(rival: Attempt, best: Attempt) -> bool:
     if not special and further and all(abs(value) < CLEARLY * error for value, error in further):
         return True
     ratio = best.criterion - best.penalty - (rival.criterion - rival.penalty)
-    level = STANDING_LEVEL if special else LEVEL
+    level = settings.LOOK_ALIKE_SIGNIFICANCE if special else settings.SIGNIFICANCE
     return ratio < scipy.special.chdtri(max(large.free - small.free, 1), level)

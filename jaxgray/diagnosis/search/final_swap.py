@@ -1,10 +1,13 @@
 """The classes of several findings, judged once more in the whole model: what stood for an effect while others were
 missing need not stand for it beside them."""
 
+import contextlib
 import dataclasses
 
 import numpy as np
 
+from ...numerics.progress import BudgetSpent
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, in_short_steps
 from ..estimation.element_sums import at_fewer_everywhere
@@ -20,9 +23,6 @@ from .state import SearchState, held_out_run, stage_of_candidate
 STEPS = 10
 """Of each refit of a rival."""
 
-ASTRAY = 2.0
-"""Error on held-out data, relative to that before, from which finer steps have led astray."""
-
 
 def swap_rivals(context: SearchContext, state: SearchState) -> None:
     """Refit every rival in its finding's place in the model with all findings. Those that are far behind leave the
@@ -32,11 +32,8 @@ def swap_rivals(context: SearchContext, state: SearchState) -> None:
         fewer = at_fewer_everywhere(context, state.fit, max_steps=STEPS, tolerance=ROUGH)
         if fewer is not state.fit:
             _go_on(context, state, fewer)
-    last = len(state.accepted) - 1
-    for k, accepted in enumerate(state.accepted):
-        if k < last and accepted.rivals or any(np.isinf(rival.criterion) for rival in accepted.rivals):
-            context.progress.stage(f"judging rivals of {state.accepted[k].attempt.name[0]} again")
-            _class_again(context, state, k)
+    with contextlib.suppress(BudgetSpent):
+        _classes_again(context, state)
     if state.fit is not None:
         # Too small to change a decision, the error of the steps may still move values by more than their error bars.
         fine, _ = in_short_steps(context, state.fit)
@@ -44,11 +41,19 @@ def swap_rivals(context: SearchContext, state: SearchState) -> None:
             _go_on(context, state, fine)
 
 
+def _classes_again(context: SearchContext, state: SearchState) -> None:
+    last = len(state.accepted) - 1
+    for k, accepted in enumerate(state.accepted):
+        if k < last and accepted.rivals or any(np.isinf(rival.criterion) for rival in accepted.rivals):
+            context.progress.stage(f"judging rivals of {state.accepted[k].attempt.name[0]} again")
+            _class_again(context, state, k)
+
+
 def _lost(context: SearchContext, state: SearchState, fit: Refit) -> bool:
     """Whether another refit of all findings is much farther from the held-out data: what the data of the fit hardly
     determine went astray on the way."""
     runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
-    return any(not overall(new.rmse, old.rmse) < ASTRAY for new, old in zip(runs, state.runs))
+    return any(not settings.MUCH_NEARER * overall(new.rmse, old.rmse) < 1.0 for new, old in zip(runs, state.runs))
 
 
 def _class_again(context: SearchContext, state: SearchState, k: int) -> None:

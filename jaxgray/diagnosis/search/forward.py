@@ -1,12 +1,15 @@
 """Forward selection by free runs: screen, refit, test, accept, and screen again."""
 
+import contextlib
 import dataclasses
 
 import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
+from ...numerics.progress import BudgetSpent
 from ...numerics.runtime import relieve
 from ...numerics.side_by_side import side_by_side
+from .. import settings
 from ..acceptance import at_its_bound, unsound
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
@@ -19,10 +22,9 @@ from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import Stage, screen_simulated, screen_smoothed
 from ..screening.score_test import Screening
 from ..screening.shortlist import adds_mode, listed_with, shortlist
-from ..settings import CLEAR_DELTA_BIC, MIN_DELTA_BIC, MIN_EXPLAINED_SHARE
 from ..starts.equation_error import force_equation_finds, from_forces
 from ..starts.force_matching import force_matched
-from ..starts.lookalikes import refit_look_alikes, untried_look_alikes
+from ..starts.lookalikes import contained_laws, refit_look_alikes, untried_look_alikes
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
@@ -31,21 +33,6 @@ from .confusable import alike, look_alikes, needless, simplified
 from .final_swap import swap_rivals
 from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
 from .state import Accepted, SearchState, held_out_run, is_local, runs_seen, stage_of_candidate
-
-MIN_RESIDUAL_SHARE = 0.02
-"""Share of what is left that the best effect must explain for "unexplained" to be said when no refit holds."""
-
-MIN_RELATIVE_MOTION = 0.3
-"""Motion of held-out data relative to that of the fit from which they can refute coloured noise."""
-
-MIN_GAIN_WHERE_LITTLE_MOVES = 50.0
-"""Gain [%] on held-out data that refutes coloured noise where these move less."""
-
-MAX_FREE_ROUNDS = 3
-"""Rounds that but rule something out, and do not count."""
-
-MIN_DELTA_BIC_BEHIND_NOISE = 50.0
-"""ΔBIC by measured motion from which an effect may hide behind noise at the forces."""
 
 
 def select_forward(
@@ -75,13 +62,15 @@ def select_forward(
 
 
 def extend(context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]) -> None:
-    """Rounds of looking and accepting, until nothing more is found or `most` effects were; what was only lent goes."""
-    _rounds(context, state, most, searched)
+    """Rounds of looking and accepting, until nothing more is found, `most` effects were, or the time is over; what was
+    only lent goes."""
+    with contextlib.suppress(BudgetSpent):
+        _rounds(context, state, most, searched)
     revert_provisional(state)
 
 
 def _rounds(context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]) -> None:
-    turn, free = 0, MAX_FREE_ROUNDS
+    turn, free = 0, settings.MAX_FREE_ROUNDS
     while (used := _round(beside_laws(context, state.stage), state, most - turn, searched)) is not None:
         turn, free = (turn, free - 1) if used == 0 and free else (turn + 1, free)
 
@@ -92,7 +81,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     relieve()
     known, told_from = len(state.accepted), state.ruled_out
     state.stage = dataclasses.replace(state.stage, ruled_out=state.ruled_out)
-    context.progress.stage("looking for effects" if known == 0 else f"looking further ({known} found)")
+    context.progress.unlimited.stage("looking for effects" if known == 0 else f"looking further ({known} found)")
     screening = screen_simulated(state.stage, context.data[0], searched, context.names, rng=context.rng)
     state.screening = screening
     state.first = screening if state.first is None else state.first
@@ -104,7 +93,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     closer = None
     if not screening.fires and not _strong(screening):
         closer = _behind_the_noise(context, state.stage, screening)
-        if closer is None and wrong_entries(context, state.stage, screening, least=CLEAR_DELTA_BIC):
+        if closer is None and wrong_entries(context, state.stage, screening, least=settings.CLEAR_DELTA_BIC):
             # A run that is out of step shows no entry to first order, and all it leaves passes for noise at the forces.
             closer = _closer(context, state.stage, screening)
         if closer is None:
@@ -133,7 +122,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     if _accepted(context, state, hidden_modes(context, state.stage, screening, refitted), Move.HIDDEN_MODE):
         return 1
     white = dataclasses.replace(context, white=True)
-    least = 100 * MIN_EXPLAINED_SHARE if _moves(context) else MIN_GAIN_WHERE_LITTLE_MOVES
+    least = 100 * settings.MIN_EXPLAINED_SHARE if _moves(context) else settings.MIN_GAIN_WHERE_LITTLE_MOVES
     free = _under_white_noise(white, state, screening, ranked)
     if _accepted(white, state, free, Move.WHITE_NOISE, least=least, most=1):
         return 1
@@ -181,9 +170,9 @@ def _under_white_noise(
     coloured = estimate_noise_model(stage.e, data.kept, stage.system, stage.force).cost
 
     def evident(attempt: Attempt) -> bool:
-        return coloured - noise_model_of(own, attempt.fit).cost - attempt.penalty >= MIN_DELTA_BIC
+        return coloured - noise_model_of(own, attempt.fit).cost - attempt.penalty >= settings.MIN_DELTA_BIC
 
-    clear = (a for a in lasting if a.delta_bic > CLEAR_DELTA_BIC and unresolved(a.fit, a.score) is None)
+    clear = (a for a in lasting if a.delta_bic > settings.CLEAR_DELTA_BIC and unresolved(a.fit, a.score) is None)
     return [attempt for attempt in clear if evident(attempt)]
 
 
@@ -194,7 +183,8 @@ def _moves(context: SearchContext) -> bool:
         y = np.where(data.kept, data.y, np.nan)[: data.samples]
         return np.nanstd(y, axis=0)
 
-    return any(np.all(size(held) >= MIN_RELATIVE_MOTION * size(context.data[0])) for held in context.validation)
+    least = settings.MIN_RELATIVE_MOTION * size(context.data[0])
+    return any(np.all(size(held) >= least) for held in context.validation)
 
 
 def _without(
@@ -213,9 +203,9 @@ def _strong(screening: Screening) -> bool:
     """Whether some candidate takes most of what is left, though the noise model could pass it off as noise at the
     forces."""
     best = screening.first[0] if screening.first else None
-    if best is None or best.delta_bic < CLEAR_DELTA_BIC:
+    if best is None or best.delta_bic < settings.CLEAR_DELTA_BIC:
         return False
-    return 1 - np.exp(-best.ratio / screening.rows) > 0.3
+    return 1 - np.exp(-best.ratio / screening.rows) > settings.LARGE_RESIDUAL_SHARE
 
 
 def _behind_the_noise(context: SearchContext, stage: Stage, screening: Screening) -> Screening | None:
@@ -228,7 +218,7 @@ def _behind_the_noise(context: SearchContext, stage: Stage, screening: Screening
     if screening.noise_model.ratio == 0.0:
         return None
     closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names)
-    return closer if closer.scores and closer.scores[0].delta_bic > MIN_DELTA_BIC_BEHIND_NOISE else None
+    return closer if closer.scores and closer.scores[0].delta_bic > settings.DELTA_BIC_BEHIND_NOISE else None
 
 
 def _refuted(
@@ -240,9 +230,9 @@ def _refuted(
     took noise at the forces for white, every effect seemed to explain some of it.
     """
     best = state.screening.scores[0]
-    if 1 - np.exp(-best.ratio / state.screening.rows) < MIN_RESIDUAL_SHARE:
+    if 1 - np.exp(-best.ratio / state.screening.rows) < settings.MIN_RESIDUAL_SHARE:
         return True
-    if not ranked or any(attempt.delta_bic >= MIN_DELTA_BIC for attempt in ranked):
+    if not ranked or any(attempt.delta_bic >= settings.MIN_DELTA_BIC for attempt in ranked):
         return False
     if best.delta_bic < 2 * state.screening.threshold:
         return True
@@ -279,9 +269,19 @@ def _refitted(context: SearchContext, state: SearchState, screening: Screening, 
         behind = _given_up(state.rejected[before:], ranked)
         late += force_matched(context, stage, ranked[0], behind, (closer, screening), state.rejected)
         ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
-    ranked = simplified(ranked)
+    ranked = _narrowed(context, stage, simplified(ranked), screening, closer)
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
+
+
+def _narrowed(
+    context: SearchContext, stage: Stage, ranked: list[Attempt], screening: Screening, closer: Screening
+) -> list[Attempt]:
+    """The ranking, the laws that the best one contains refitted from its end as well: what it explains more than they
+    do may be no more than a better optimum."""
+    inside = contained_laws(ranked[0], screening, closer) if ranked else []
+    again = refit_look_alikes(context, stage, ranked[0], inside, []) if inside else []
+    return simplified(_better_ones(compared(context, stage, ranked + again))) if again else ranked
 
 
 def _better_ones(ranked: list[Attempt]) -> list[Attempt]:
@@ -334,7 +334,7 @@ def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> Non
     state.accepted.append(accepted)
     state.fit, state.runs = accepted.attempt.fit, accepted.runs
     state.stage = stage_of_candidate(context, state.fit.candidate)
-    state.unexplained, state.provisional = False, None
+    state.unexplained, state.provisional, state.trials = False, None, 0
     names = {one.attempt.name for one in state.accepted}
     state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
     prune(context, state)
@@ -347,7 +347,7 @@ def _provisional(context: SearchContext, state: SearchState, ranked: list[Attemp
         return False
     floor = floor_of(context, ranked)
     for k, attempt in enumerate(ranked):
-        if attempt.delta_bic > CLEAR_DELTA_BIC and unsound(Evidence(context, state, attempt, floor)) is None:
+        if attempt.delta_bic > settings.CLEAR_DELTA_BIC and unsound(Evidence(context, state, attempt, floor)) is None:
             rivals, free = _class_of(attempt, ranked[k + 1 :])[0], refit_for_free_run(context, state, attempt)
             why, gain, runs = tested(context, state, free, floor)
             if why is None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, settled
 from ..estimation.gauss_newton import Refit, refit
@@ -19,7 +20,7 @@ from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
 from ..noise.whitening import white_noise_model
 from ..screening.linearization import screen_simulated
-from .forward import MIN_RESIDUAL_SHARE, extend, select_forward
+from .forward import extend, select_forward
 from .state import SearchState, held_out_run, stage_of_candidate
 
 PART = 8192
@@ -118,7 +119,7 @@ def _carried_over(context: SearchContext, start: Candidate, part: SearchState) -
     whole.rejected, whole.tried, whole.unexplained = part.rejected, part.tried, part.unexplained
     whole.screening, whole.first, whole.ruled_out = part.screening, part.first, part.ruled_out
     for k, accepted in enumerate(part.accepted):
-        context.progress.stage(f"refitting {accepted.attempt.name[0]} on the whole record")
+        context.progress.unlimited.stage(f"refitting {accepted.attempt.name[0]} on the whole record")
         last = k == len(part.accepted) - 1
         found = part.fit if last else accepted.attempt.fit
         terms = found.candidate.terms[: k + 1]
@@ -152,12 +153,12 @@ def _tied_to_clock(context: SearchContext, state: SearchState, max_effects: int)
     most, known = max_effects - len(state.accepted), len(state.accepted)
     if not tied or most <= 0 or state.unexplained:
         return
-    context.progress.stage("looking for what belongs to the clock of the record")
+    context.progress.unlimited.stage("looking for what belongs to the clock of the record")
     seen = screen_simulated(state.stage, context.data[0], tied, context.names, surrogates=0)
     best = seen.best_by_effect()
     # In so many samples the least misfit is significant: it must also be of some size.
     share = {name: 1 - np.exp(-score.ratio / seen.rows) for name, score in best.items()}
-    sized = tuple(effect for effect in tied if share.get(effect.id, 0.0) >= MIN_RESIDUAL_SHARE)
+    sized = tuple(effect for effect in tied if share.get(effect.id, 0.0) >= settings.MIN_RESIDUAL_SHARE)
     if not sized:
         return
     screening = state.screening

@@ -15,6 +15,7 @@ from ...identification.start import nearest_physical
 from ...mechanics.simulate import initial_state
 from ...numerics.outcomes import ComputationError
 from ...records import Record
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit, refit
 from ..model.candidate import Candidate
@@ -22,12 +23,6 @@ from ..model.held_out_gain import gain_of
 from ..noise.floor import residual_rms
 from ..noise.whitening import white_noise_model
 from .state import SearchState, held_out_run, runs_seen, stage_of_candidate
-
-POOR = 80.0
-"""Fit [%] of the linear model on the estimation record below which another beginning is tried."""
-
-BETTER = 0.95
-"""Residual, relative to that of the first refit, below which the second is taken."""
 
 STEPS = 40
 
@@ -39,7 +34,7 @@ def from_other_modes(
 
     **Arguments:** `context`; `state`: changed in place; `identification`: where it began; `records`.
     """
-    if len(state.accepted) != 1 or min(identification.fit_percent["estimation"].values()) > POOR:
+    if len(state.accepted) != 1 or min(identification.fit_percent["estimation"].values()) > settings.USABLE_FIT:
         return
     scaling = identification.scaling
     try:
@@ -52,7 +47,7 @@ def from_other_modes(
     states = tuple(initial_state(model, r.u, r.y, r.sampling_time, hold=r.hold)[0] for r in records)
     moved = Candidate(context.simulator.setup.entries_of(*matrices), states).with_terms(state.fit.candidate.terms)
     fit = _refitted(context, state, moved)
-    if fit is None or not _left(context, fit) < np.log(BETTER) + _left(context, state.fit):
+    if fit is None or not _left(context, fit) < np.log(settings.RESTART_RESIDUAL) + _left(context, state.fit):
         return
     state.fit, state.stage = fit, stage_of_candidate(context, fit.candidate)
     last = state.accepted[0]

@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 
+from .. import settings
 from ..estimation.context import SearchContext
 from ..estimation.gauss_newton import refit
 from ..estimation.multistart import Attempt
@@ -16,11 +17,7 @@ from ..estimation.profile_scan import something_left
 from ..findings import Move
 from ..model.held_out_gain import gain_of
 from ..noise.whitening import white_noise_model
-from ..settings import CLEAR_DELTA_BIC
 from .state import Accepted, Provisional, SearchState, held_out_run, is_local, runs_seen, stage_of_candidate
-
-LOANS = 2
-"""Findings that may be lent their place at a time."""
 
 STEPS = 20
 """Of the refit for the free run."""
@@ -29,7 +26,7 @@ STEPS = 20
 def may_be_provisional(state: SearchState, ranked: list[Attempt]) -> bool:
     """Whether a finding may be lent its place: something is clearly there, under noise that another effect may be."""
     lent = 0 if state.provisional is None else len(state.accepted) - state.provisional.sure
-    if not ranked or lent >= LOANS or not ranked[0].delta_bic > CLEAR_DELTA_BIC:
+    if not ranked or lent >= settings.MAX_PROVISIONAL or not ranked[0].delta_bic > settings.CLEAR_DELTA_BIC:
         return False
     return something_left(ranked[0].noise_model)
 

@@ -48,7 +48,8 @@ class Provisional:
 @dataclass
 class SearchState:
     """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
-    tried, the last look, what is no longer looked for, and what the last findings owe."""
+    tried, the last look, what is no longer looked for, how many candidates were judged on held-out data since the last
+    was accepted, and what the last findings owe."""
 
     start: Stage
     stage: Stage
@@ -62,6 +63,7 @@ class SearchState:
     ruled_out: frozenset = frozenset()
     baseline_runs: list[FreeRun] = field(default_factory=list)
     runs: list[FreeRun] = field(default_factory=list)
+    trials: int = 0
     provisional: Provisional | None = None
 
     @property

@@ -8,6 +8,7 @@ finds begins with its M, D, K and its sizes, and is refitted by the free run and
 import numpy as np
 
 from ...numerics.side_by_side import side_by_side
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, refit_to_convergence
 from ..estimation.gauss_newton import refit
@@ -19,9 +20,6 @@ from ..screening.shortlist import begun_at
 
 STEPS = 25
 """Of the first refit, which has to bring the free run into step."""
-
-NEARER = 0.5
-"""Share of the sum of squares of the linear model's free run that a law may leave to be of interest."""
 
 
 def force_equation_finds(context: SearchContext) -> bool:
@@ -59,7 +57,7 @@ def from_forces(context: SearchContext, stage: Stage, screening: Screening) -> l
             return None
         # Out of step as it still is, what is left passes for noise at the forces, and less and less of it does.
         fit = refit(context.simulator, begin, context.data, noise_model_of(context, fit), max_steps=STEPS, **options)
-        if fit is None or not float(np.sum(fit.residual[0] ** 2)) < NEARER * left:
+        if fit is None or not float(np.sum(fit.residual[0] ** 2)) < settings.MUCH_NEARER * left:
             return None
         context.progress.stage(f"pursuing {effect} at {place}")
         end = refit_to_convergence(context, fit)

@@ -12,6 +12,7 @@ import numpy as np
 from ...mechanics.effects.base import AbstractForceEffect
 from ...mechanics.extended import arm_of
 from ...numerics.side_by_side import side_by_side
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, refit_to_convergence
 from ..estimation.gauss_newton import Refit, refit
@@ -21,10 +22,6 @@ from ..model.candidate import Candidate
 from ..screening.features import Motion, Shape, forces_of
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
-from ..settings import MAX_CRITERION_GAP
-
-MATCHED = 0.2
-"""What a law's force may leave of another's, beside a spring's and a damper's, relative to what these leave."""
 
 NEARBY = 3
 """Laws that are begun again at most."""
@@ -55,7 +52,7 @@ def force_matched(
         if name in tried and name[1] == term.place.name and same_kind and not nested:
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
     found = [_imitating(context, best.fit, list(scores[name].values())) for name in sorted(scores)]
-    near = sorted((pair for pair in found if pair[0] < MATCHED), key=lambda pair: pair[0])[:NEARBY]
+    near = sorted((pair for pair in found if pair[0] < settings.MATCHED_FORCE), key=lambda pair: pair[0])[:NEARBY]
     ends = side_by_side(lambda pair: _refit_from(context, stage, best, *pair[1]), near)
     rejected += [end for end in ends if isinstance(end, Rejected)]
     return [end for end in ends if isinstance(end, Attempt)]
@@ -105,7 +102,7 @@ def _refit_from(
     context.progress.stage(f"refitting {shape.effect.id} at {shape.place.name}")
     options = {"held": context.held, "tolerance": ROUGH}
     again = refit(context.simulator, best.fit.candidate, context.data, best.noise_model, max_steps=3, **options)
-    most = criterion_of(context, best.score, best.fit if again is None else again) + MAX_CRITERION_GAP
+    most = criterion_of(context, best.score, best.fit if again is None else again) + settings.MAX_CRITERION_GAP
     fit = refit(context.simulator, begin, context.data, best.noise_model, max_steps=10, **options)
     if fit is None or criterion_of(context, score, fit) > most:
         return None

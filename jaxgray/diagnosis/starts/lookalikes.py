@@ -4,6 +4,7 @@ import numpy as np
 
 from ...mechanics.effects.base import Term
 from ...numerics.side_by_side import side_by_side
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, refit_to_convergence
 from ..estimation.gauss_newton import Refit, refit
@@ -12,7 +13,6 @@ from ..findings import NOT_SIMULATED, Rejected
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
 from ..screening.shortlist import same_start
-from ..settings import CONTACT, MAX_CRITERION_GAP, MIN_DELTA_BIC
 
 
 def untried_look_alikes(
@@ -22,21 +22,29 @@ def untried_look_alikes(
 
     Of the laws that differ in their name alone, one is heard at a place; `tried`: laws and places of the round so far.
     """
-    listed, contacts = [], {place for law, place in tried if law in CONTACT}
+    listed, contacts = [], {place for law, place in tried if law in settings.CONTACT}
     for effect_id in sorted(ids):
         scores: list[Score] = []
         for table in (closer.scores, screening.scores, screening.first):
             best = next((score for score in table if score.shape.effect.id == effect_id), None)
-            if best is None or best.delta_bic < MIN_DELTA_BIC:
+            if best is None or best.delta_bic < settings.MIN_DELTA_BIC:
                 continue
             if not scores or (scores[0].shape.place.name == best.shape.place.name and not same_start(best, scores[0])):
                 scores.append(best)
-        if not scores or (effect_id in CONTACT and scores[0].shape.place.name in contacts):
+        if not scores or (effect_id in settings.CONTACT and scores[0].shape.place.name in contacts):
             continue
-        if effect_id in CONTACT:
+        if effect_id in settings.CONTACT:
             contacts.add(scores[0].shape.place.name)
         listed.append(scores[:2])
     return listed
+
+
+def contained_laws(best: Attempt, screening: Screening, closer: Screening) -> list[list[Score]]:
+    """The laws that the best one contains, at its place, with the shapes to start from."""
+    tables = [table.best_by_place() for table in (closer, screening)]
+    names = [(effect, best.name[1]) for effect in best.score.shape.effect.contains]
+    listed = [[table[name] for table in tables if name in table][:1] for name in names]
+    return [scores for scores in listed if scores]
 
 
 def refit_look_alikes(
@@ -64,7 +72,7 @@ def _refit_look_alike(context: SearchContext, stage: Stage, best: Attempt, score
     again = refit(
         context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=3, tolerance=ROUGH
     )
-    most = criterion_of(context, best.score, fit if again is None else again) + MAX_CRITERION_GAP
+    most = criterion_of(context, best.score, fit if again is None else again) + settings.MAX_CRITERION_GAP
     found: tuple[Score, Refit] | None = None
     for score in scores:
         shape = score.shape.term(score.weights)
@@ -83,8 +91,8 @@ def _refit_look_alike(context: SearchContext, stage: Stage, best: Attempt, score
                 break
     if found is None:
         return Rejected.of(name, scores[0].delta_bic, NOT_SIMULATED)
-    behind = criterion_of(context, *found) - most + MAX_CRITERION_GAP
-    if behind > MAX_CRITERION_GAP:
+    behind = criterion_of(context, *found) - most + settings.MAX_CRITERION_GAP
+    if behind > settings.MAX_CRITERION_GAP:
         return Rejected.of(name, scores[0].delta_bic, dominated(behind))
     context.progress.stage(f"pursuing {name[0]} at {name[1]}")
     end = refit_to_convergence(context, found[1])

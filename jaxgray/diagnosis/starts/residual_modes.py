@@ -8,6 +8,7 @@ residual taken as white is refitted and judged by what it is worth then.
 
 from ...mechanics.effects.disturbance import PeriodicDisturbance
 from ...numerics.side_by_side import side_by_side
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import refit_to_convergence
 from ..estimation.gauss_newton import Refit
@@ -16,7 +17,6 @@ from ..noise.whitening import white_noise_model
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
 from ..screening.shortlist import adds_mode, at_lines, begun_at
-from ..settings import CLEAR_DELTA_BIC, MIN_DELTA_BIC
 
 
 def hidden_modes(
@@ -29,11 +29,11 @@ def hidden_modes(
     explain something: the first of them from every line of the residual, the others from where that one ended.
     """
     line = next((score for score in screening.first if score.shape.effect.id == PeriodicDisturbance.id), None)
-    anywhere = screening.fires or (line is not None and line.delta_bic > CLEAR_DELTA_BIC)
+    anywhere = screening.fires or (line is not None and line.delta_bic > settings.CLEAR_DELTA_BIC)
     listed: dict[tuple[str, str], Score] = {}
     for score in screening.first:
         effect, name = score.shape.effect, (score.shape.effect.id, score.shape.place.name)
-        if adds_mode(effect) and (anywhere or score.delta_bic >= MIN_DELTA_BIC) and name not in tried:
+        if adds_mode(effect) and (anywhere or score.delta_bic >= settings.MIN_DELTA_BIC) and name not in tried:
             listed.setdefault(name, score)
     noise_model = white_noise_model(stage.e, context.data[0].kept, stage.system)
     best: dict[tuple[str, str], Refit] = {}

@@ -17,6 +17,7 @@ from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
 from ...numerics.outcomes import ComputationError
 from ...records import Record
+from .. import settings
 from ..estimation.context import Identified, SearchContext
 from ..estimation.gauss_newton import refit
 from ..estimation.normal_equations import Equations
@@ -26,7 +27,6 @@ from ..model.simulator import Simulator
 from ..noise.whitening import white_noise_model
 from ..screening.linearization import Stage, sampled_plant
 from ..screening.score_test import Score, Screening
-from ..settings import MIN_DELTA_BIC
 
 COUNT = 3
 """Entries of a round that are begun so."""
@@ -85,7 +85,7 @@ def _is_entry(effect: AbstractEffect) -> bool:
 
 
 def wrong_entries(
-    context: SearchContext, stage: Stage, screening: Screening, *, least: float = MIN_DELTA_BIC
+    context: SearchContext, stage: Stage, screening: Screening, *, least: float = settings.MIN_DELTA_BIC
 ) -> list[Score]:
     """Scores of the entries that the identified model says are wrong, with the sizes to begin from, best first; those
     alone that would lower the sum of squares by at least so much, in units of the noise variance."""

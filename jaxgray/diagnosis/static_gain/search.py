@@ -6,15 +6,15 @@ import numpy as np
 
 from ...identification.structure_test import ROUNDING
 from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Scales, Term, places_of
-from ...numerics.progress import AbstractProgress
+from ...numerics.progress import AbstractProgress, BudgetSpent
 from ...records import Record
+from .. import settings
 from ..acceptance import AbstractEvidence, bound_of, negligible, unproven, unsound
 from ..findings import Gain, Reason, Refusal, Rejected
 from ..model.candidate import estimated
 from ..model.free_run import FreeRun, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.effective_samples import independent_share
-from ..settings import CLASS_DELTA_BIC
 from .regression import Static, StaticFit
 
 
@@ -87,7 +87,7 @@ def search_static(
     **Arguments:** `records`, `held`: to fit, and to judge; `catalogue`: of which the input effects are tried;
     `max_effects`; `rng`; `progress`.
     """
-    progress.stage("fitting a static gain")
+    progress.unlimited.stage("fitting a static gain")
     problem, later = Static(records), Static(held)
     names, inputs = records[0].output_names, records[0].input_names
     base = fit = problem.fit(())
@@ -100,15 +100,11 @@ def search_static(
     # One look more than effects may be added: whether something is left.
     for turn in range(0 if _is_rounding(base_runs[0], records) else max_effects + 1):
         accepted = {trial.name for trial, _, _ in taken}
-        trials = []
-        for effect in effects:
-            places = places_of(effect, inputs, names)
-            for place in places:
-                if (effect.id, place.name) not in accepted:
-                    progress.stage(f"refitting {effect.id} at {place.name}")
-                    trial = _trial(problem, fit, effect, place, len(places))
-                    trials += [] if trial is None else [trial]
-        trials.sort(key=lambda trial: -trial.delta_bic)
+        try:
+            trials = _trials(problem, fit, effects, accepted, (inputs, names), progress)
+        except BudgetSpent:
+            strong = True
+            break
         passed = []
         for trial in trials:
             why = unsound(trial) or negligible(trial, "what is left")
@@ -120,10 +116,11 @@ def search_static(
         if turn == max_effects:
             break
         found = None
-        for trial in passed:
+        for judged, trial in enumerate(passed, start=1):
             new = problem.run(trial.fit), later.run(trial.fit)
             before, after, first = (x[1] or x[0] for x in (runs, new, base_runs))
-            gain = gain_of(before, after, first, rms_of(first), names, held_out=bool(held), rng=rng)
+            options = {"held_out": bool(held), "rng": rng, "trials": judged}
+            gain = gain_of(before, after, first, rms_of(first), names, **options)
             if (why := unproven(gain)) is None:
                 found = trial, gain, new
                 break
@@ -134,14 +131,27 @@ def search_static(
         rivals = []
         for other in passed:
             difference = trial.delta_bic - other.delta_bic
-            if 0 <= difference < CLASS_DELTA_BIC and other is not trial:
+            if 0 <= difference < settings.CLASS_DELTA_BIC and other is not trial:
                 rivals.append(other)
-            elif difference >= CLASS_DELTA_BIC:
+            elif difference >= settings.CLASS_DELTA_BIC:
                 words = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
                 rejected.append(Rejected.of(other.name, other.delta_bic, Refusal(Reason.EXPLAINED_BETTER, words)))
         taken.append((trial, tuple(rivals[:3]), gain))
         fit = trial.fit
     return StaticSearch(base, fit, base_runs, runs, tuple(taken), tuple(rejected), strong)
+
+
+def _trials(problem: Static, fit: StaticFit, effects, accepted, channels, progress) -> list[Trial]:
+    """Every effect at every place where it is not in the model, refitted, best first."""
+    trials = []
+    for effect in effects:
+        places = places_of(effect, *channels)
+        for place in places:
+            if (effect.id, place.name) not in accepted:
+                progress.stage(f"refitting {effect.id} at {place.name}")
+                trial = _trial(problem, fit, effect, place, len(places))
+                trials += [] if trial is None else [trial]
+    return sorted(trials, key=lambda trial: -trial.delta_bic)
 
 
 def _is_rounding(runs: list[FreeRun], records: list[Record]) -> bool:

@@ -8,17 +8,9 @@ import numpy as np
 
 from ...mechanics.drives import Force
 from ...numerics.text import listed
+from .. import settings
 from ..findings import DiagnosisFields, Finding, Gain, ParameterShift
 from .titles import parameters_text, place_of, title_of, value_text
-
-ONLY_NOISE = 1.05
-"""RMSE over noise floor up to which what is left counts as noise."""
-
-STANDS_IN = 1.2
-"""The same on held-out data from which a law that leaves only noise on the data of its fit may stand in for another."""
-
-MISSED = 50.0
-"""Share of an output's motion [%] from which what a model leaves, unless white, is more than noise usually is."""
 
 MANY = 4.0
 """Ratio of an entry to what it should be from which a sentence says how many times it is."""
@@ -65,12 +57,12 @@ def _missed(diagnosis: DiagnosisFields, subject: str) -> str:
     where = f" at {place}" if place else ""
     if diagnosis.verdict == "noise" and diagnosis.extended is None:
         missed, poor = _poorest(diagnosis)
-        if missed > MISSED and not diagnosis.white:
+        if missed > settings.LARGE_RESIDUAL and not diagnosis.white:
             text = f"What {subject[0].lower()}{subject[1:]} leaves passes for noise, though it is {missed:.0f} % of the"
             return f"{text} motion at {poor}: so strong an effect that none can be told looks the same."
         text = f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
         return text + "nothing is missing that this record could show."
-    if diagnosis.verdict == "unexplained" and excess < ONLY_NOISE:
+    if diagnosis.verdict == "unexplained" and excess < settings.MIN_EXCESS:
         # The floor is what the model itself leaves on the data of the fit.
         return f"{subject} leaves more than noise{where}."
     return f"{subject} misses {times(excess)} the noise floor{where}."
@@ -206,14 +198,14 @@ def _gain(diagnosis: DiagnosisFields, causes: list[Finding]) -> str:
         change = f"{verb} {count} does not lower {error} ({gain_text(gain)})"
     if not gain.held_out:
         change += " on the data it was fitted to (in-sample, not proven on held-out data)"
-    if diagnosis.excess < ONLY_NOISE:
+    if diagnosis.excess < settings.MIN_EXCESS:
         # Where the noise is taken from the final model itself, something may be left all the same.
         if diagnosis.verdict == "partly":
             return f"{change}."
         # A finding tied to the clock of one record is left out of the runs on another, and missing there.
         everywhere = all(f.gain is not None and f.gain.held_out for f in causes)
         unseen = _left_unseen(diagnosis) if gain.held_out and everywhere else 0.0
-        if unseen >= STANDS_IN:
+        if unseen >= settings.STAND_IN_EXCESS:
             whose = "its law" if len(causes) == 1 else "a law"
             return f"{change}, but leaves {times(unseen)} the noise floor there: {whose} may stand in for another."
         if any(f.effect == "process_noise" for f in diagnosis.findings):

@@ -101,6 +101,7 @@ class CoulombFriction(AbstractForceEffect):
     parity = "odd"
     signature = "square wave in phase with the velocity"
     reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
+    jumps = True
     places = "spring"
 
     def shapes(self, scales):
@@ -126,6 +127,7 @@ class StribeckFriction(AbstractForceEffect):
     contains = ("coulomb_friction",)
     signature = "friction that changes at low speed"
     reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138, §2.1"
+    jumps = True
     places = "spring"
 
     def shapes(self, scales):
@@ -161,6 +163,7 @@ class AsymmetricFriction(AbstractForceEffect):
     contains = ("coulomb_friction",)
     signature = "even harmonics in quadrature with the displacement"
     reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
+    jumps = True
     places = "spring"
 
     def shapes(self, scales):
@@ -202,6 +205,7 @@ class PositionDependentFriction(AbstractForceEffect):
     contains = ("coulomb_friction",)
     signature = "size of the friction varies with the position"
     reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
+    jumps = True
     places = "spring"
 
     def shapes(self, scales):

@@ -1,0 +1,63 @@
+"""Samples of an accelerometer that no simulation decides: the force of dry friction jumps there.
+
+Whether a sample falls before or after a reversal of the velocity hangs on a fraction of an integration step. On the
+wrong side of it, one sample is off by twice the friction, tens of standard deviations of the noise, while the motion is
+right: such samples say nothing of the parameters, and least squares would follow them.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...mechanics.extended import arm_of
+from .. import settings
+from .candidate import Candidate, Data
+from .simulator import Simulator
+
+
+def decided_residual(
+    simulator: Simulator,
+    candidate: Candidate,
+    data: Data,
+    y: Float[np.ndarray, "samples outputs"],
+    J: Float[np.ndarray, "samples outputs parameters"] | None = None,
+    record: int = 0,
+) -> tuple[Float[np.ndarray, "samples outputs"], Float[np.ndarray, "samples outputs parameters"] | None]:
+    """Residual of a free run, and its Jacobian, zero at the samples that are missing or undecided.
+
+    **Arguments:** `simulator`; `candidate`; `data`; `y`: its free run there; `J`: Jacobian of `y`, None for none;
+    `record`: which of the records of the fit.
+
+    **Returns:** the residual, and the Jacobian.
+    """
+    e = np.where(data.kept, data.y - y, 0.0)
+    left_out = undecided(simulator, candidate, data, e, record)
+    if left_out is None:
+        return e, J
+    return np.where(left_out, 0.0, e), None if J is None else np.where(left_out[:, :, None], 0.0, J)
+
+
+def undecided(
+    simulator: Simulator, candidate: Candidate, data: Data, e: Float[np.ndarray, "samples outputs"], record: int = 0
+) -> Bool[np.ndarray, "samples outputs"] | None:
+    """Which samples of accelerations lie beside a reversal, or nearly, and are far off; None where there are none.
+
+    **Arguments:** as for `decided_residual`; `e`: residual, zero where missing.
+    """
+    jumping = [term for term in candidate.terms if term.effect.jumps]
+    accelerated = np.array([kind == "acceleration" for kind in simulator.setup.measured])
+    largest = np.max(np.abs(e), initial=0.0)
+    if not jumping or not accelerated.any() or largest == 0.0:
+        return None
+    e = e / largest
+    v, plant = simulator.motion(candidate, data, record)[1], simulator.plant(candidate)
+    near = np.zeros(len(v), bool)
+    for term in jumping:
+        along = v @ np.asarray(arm_of(term, plant))
+        near |= np.abs(along) < settings.SLOW_VELOCITY * np.sqrt(np.mean(along[: data.samples] ** 2))
+        turned = np.sign(along[1:]) != np.sign(along[:-1])
+        near[:-1] |= turned
+        near[1:] |= turned
+    away = data.kept & ~near[:, None]
+    level = np.sqrt(np.sum(np.where(away, e, 0.0) ** 2, axis=0) / np.maximum(away.sum(axis=0), 1))
+    left_out = near[:, None] & accelerated & (np.abs(e) > settings.OUTLYING_RESIDUAL * level)
+    return left_out if left_out.any() else None
