@@ -32,6 +32,10 @@ jax.config.update("jax_enable_x64", True)
 # Tracing makes objects by the hundred thousand, none of them garbage yet.
 gc.set_threshold(50_000, 20, 20)
 
+from shaking import shake_if_asked  # noqa: E402
+
+shake_if_asked()
+
 # Compiling is most of the work, and what one worker has compiled the other reads: files that need the same programs
 # do not start together, and the longest start first.
 ORDER = ("diagnosis/test_hidden.py", "identification/", "diagnosis/test_honest.py", "examples/", "diagnosis/")

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Bool, Float
 
+from .bounded import bounded
 from .linear_algebra import (
     duplication,
     from_symmetric_vector,
@@ -111,6 +112,10 @@ class ClarabelSolver(AbstractPositiveSolver):
         import scipy.sparse as sparse
 
         problem = problem.on_host()
+        if not bounded(problem.quadratic, problem.linear):
+            raise ComputationError(
+                RESULTS.semidefinite_solver, stage="semidefinite fit", detail="the problem is not finite"
+            )
         free, floors = problem.unconstrained(), problem.floors
         if np.all(np.isfinite(free)) and inside_cone(free, problem.sizes, floors):
             return free
