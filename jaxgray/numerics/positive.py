@@ -254,7 +254,8 @@ class NearestSolver(AbstractPositiveSolver):
 
 
 class ProjectedGradientSolver(AbstractPositiveSolver):
-    """Accelerated projected gradient, ended by Newton steps; traceable, with implicit derivatives.
+    """Accelerated projected gradient, ended by Newton steps; traceable, with implicit derivatives. Not a number where
+    the problem is not finite.
 
     **Arguments:** `tolerance`: norm of the optimality condition, relative; `max_steps`.
 
@@ -276,7 +277,9 @@ class ProjectedGradientSolver(AbstractPositiveSolver):
             problem.sizes,
         )
         start = jnp.where(jnp.isfinite(free), free, 0.0) / size
-        return size * _projected_gradient(self, scaled, start)
+        # Projected on the cone, an infinite gradient ends at the floors and looks like an answer.
+        finite = jnp.all(jnp.isfinite(problem.quadratic)) & jnp.all(jnp.isfinite(problem.linear))
+        return jnp.where(finite, size * _projected_gradient(self, scaled, start), jnp.nan)
 
 
 _NEWTON_STEPS = 3

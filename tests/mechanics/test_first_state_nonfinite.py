@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_first_state import CUBIC, X0, H
 
 from jaxgray.mechanics import first_state, fitted_run
 from jaxgray.mechanics.first_state import refined_state
@@ -75,8 +76,6 @@ def test_no_start_that_can_be_simulated_is_a_named_failure(problem, monkeypatch,
 
 @pytest.mark.parametrize("value", VALUES)
 def test_finer_steps_that_overflow_are_no_answer(matrices, monkeypatch, value):
-    from test_first_state import CUBIC, H, X0
-
     model = MechanicalModel(*matrices, effects=(CUBIC,))
     rng = np.random.default_rng(0)
     u = np.repeat(rng.choice([-1.0, 1.0], (15, 2)), 20, axis=0)
