@@ -214,8 +214,9 @@ def factors(
 
 
 def padded_samples(samples: int) -> int:
-    """A whole number of chunks, from a few sizes (steps of about 12 %), so that few lengths are compiled."""
+    """A whole number of chunks, from a few sizes (steps of about 12 %, of two chunks at least: to compile for another
+    length takes longer than to compute with what is padded), so that few lengths are compiled."""
     chunk = CHUNK_BLOCKS * BLOCK
     chunks = -(-samples // chunk)
-    step = max(1, 2 ** max(0, int(np.log2(chunks)) - 3))
+    step = max(2, 2 ** max(0, int(np.log2(chunks)) - 3))
     return -(-chunks // step) * step * chunk
