@@ -20,6 +20,7 @@ from jaxgray.diagnosis.noise import whitening
 from jaxgray.diagnosis.noise.whitening import estimate_noise_model
 from jaxgray.diagnosis.static_gain import regression as static_regression
 from jaxgray.diagnosis.static_gain.regression import Static
+from jaxgray.identification.compression import padded_samples
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Term, places_of
 from jaxgray.mechanics.model import MechanicalModel
@@ -172,9 +173,10 @@ class Fake:
 def line():
     """Rows by which a first state shows in one output, the data, and the state."""
     rng = np.random.default_rng(1)
-    rows, truth = rng.standard_normal((1024, 1, 2)), np.array([0.7, -0.4])
+    samples = padded_samples(1000)
+    rows, truth = rng.standard_normal((samples, 1, 2)), np.array([0.7, -0.4])
     y = rows @ (truth + 0.2 * truth**2)
-    return rows, Data.of(Record(np.zeros((1024, 1)), y, H)), truth
+    return rows, Data.of(Record(np.zeros((samples, 1)), y, H)), truth
 
 
 @pytest.mark.parametrize("value", VALUES)
@@ -195,7 +197,7 @@ def test_first_states_after_a_refit_refuse_what_overflows(line, calls, value):
     y = rows @ (x0 + 0.2 * x0**2)
     e, J = np.where(data.kept, data.y - y, 0.0), rows * (1 + 0.4 * x0)
     candidate = Candidate(np.zeros(0), (x0,), ())
-    fit = Refit(candidate, (e,), (J,), np.zeros((2, 2)), 1.0, 1024, 1, True, 1.0, np.zeros(2, bool))
+    fit = Refit(candidate, (e,), (J,), np.zeros((2, 2)), 1.0, len(e), 1, True, 1.0, np.zeros(2, bool))
     simulator = Fake(rows, calls, value)
     found = with_states(simulator, fit, [data], steps=3)
     assert simulator.hits == 1 and np.all(np.isfinite(found.residual[0]))
