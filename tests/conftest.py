@@ -13,8 +13,8 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 cache = pathlib.Path(tempfile.gettempdir()) / f"jaxgray-tests-{os.getuid()}"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
-# Whole programs are dropped with every change of the sources; their own tests turn them on.
-os.environ.setdefault("JAXGRAY_PROGRAMS", "0")
+# What one worker has traced and lowered the other need not, nor a command that a test starts.
+os.environ.setdefault("JAXGRAY_PROGRAMS", "1")
 
 import jax  # noqa: E402
 
@@ -32,9 +32,31 @@ jax.config.update("jax_enable_x64", True)
 # Tracing makes objects by the hundred thousand, none of them garbage yet.
 gc.set_threshold(50_000, 20, 20)
 
+from shaking import shake_if_asked  # noqa: E402
+
+from jaxgray.diagnosis.model import compile_ahead  # noqa: E402
+from jaxgray.identification import compression  # noqa: E402
+from jaxgray.numerics.stored_programs import FOLDER  # noqa: E402
+
+shake_if_asked()
+# Records of 3000 and of 4000 samples share what is compiled.
+compression.LEAST_STEP = 2
+# Both cores have work: what is compiled ahead, and then not needed, would take it from the other worker.
+compile_ahead.cores = lambda: 1
+
 # Compiling is most of the work, and what one worker has compiled the other reads: files that need the same programs
 # do not start together, and the longest start first.
 ORDER = ("diagnosis/test_hidden.py", "identification/", "diagnosis/test_honest.py", "examples/", "diagnosis/")
+
+
+def pytest_sessionstart(session):
+    """Whole programs that were made from older sources are never read again."""
+    if hasattr(session.config, "workerinput"):
+        return
+    changed = max(path.stat().st_mtime for path in pathlib.Path(jaxgray.__file__).parent.rglob("*.py"))
+    for path in pathlib.Path(os.environ["JAX_COMPILATION_CACHE_DIR"], FOLDER).glob("*"):
+        if path.is_file() and path.stat().st_mtime < changed:
+            path.unlink(missing_ok=True)
 
 
 def pytest_collection_modifyitems(items):

@@ -26,6 +26,10 @@ from .filter_bank import cascade, lifted_cascade
 CHUNK_BLOCKS = 32
 """Blocks filtered at a time; the chunk's rows stay in cache."""
 
+LEAST_STEP = 1
+"""Chunks by which the lengths that records are padded to differ at least; more where records of many lengths are each
+computed with once, and compiling takes longer."""
+
 LONGEST = 2**17
 """Samples up to which a record is one chunk of correlations; longer ones are taken in chunks of a quarter of it."""
 
@@ -217,5 +221,5 @@ def padded_samples(samples: int) -> int:
     """A whole number of chunks, from a few sizes (steps of about 12 %), so that few lengths are compiled."""
     chunk = CHUNK_BLOCKS * BLOCK
     chunks = -(-samples // chunk)
-    step = max(1, 2 ** max(0, int(np.log2(chunks)) - 3))
+    step = max(LEAST_STEP, 2 ** max(0, int(np.log2(chunks)) - 3))
     return -(-chunks // step) * step * chunk

@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..numerics.bounded import bounded
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
 from .normal import Criterion, Iterate, Normal, Products, join, moved, part
@@ -77,6 +78,8 @@ def step_inside(
     **Returns:** the step, by linear equations where no block but single numbers ends at its floor; None where none was
     found.
     """
+    if not bounded(quadratic, slope):
+        return None
     free = np.ones(len(here), bool) if held is None else ~held
     if free.any() and not np.max(np.diag(quadratic)[free]) > 0.0:
         # All rounding: what other parameters take away is as large as what there is.

@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
+from ..numerics.bounded import bounded
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.positive import ClarabelSolver
 from .conic import block_units, pseudo_inverse, step_inside
@@ -91,7 +92,7 @@ def nearest_structured(
             continue
         trial = theta + step * unit
         off_there = assembled(trial) - target
-        reached = off_there @ H @ off_there
+        reached = off_there @ H @ off_there if bounded(off_there) else np.inf
         if not reached < cost:
             if damping > 1e3:
                 break

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..numerics.bounded import bounded
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.stored_programs import stored
 
@@ -74,9 +75,9 @@ def refined_state(
         if offset:
             slopes = np.concatenate([slopes, np.broadcast_to(np.eye(outputs), (*measured.shape, outputs))], axis=2)
         table = (slopes * weight[:, :, None]).reshape(-1, slopes.shape[2])
-        norm = np.linalg.norm(table, axis=0)
-        if not np.isfinite(norm).all():
+        if not bounded(table):
             break
+        norm = np.linalg.norm(table, axis=0)
         norm = np.where(norm > 0, norm, 1.0)
         Q, R = np.linalg.qr(table / norm)
         target = Q.T @ left(simulated, shift).ravel()

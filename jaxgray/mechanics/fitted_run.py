@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..numerics.bounded import bounded
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..records import Record
 from .effects.base import AbstractForceEffect
@@ -60,12 +61,13 @@ def fitted_run(model: MechanicalModel, record: Record) -> FittedRun:
     substeps, run = 1, run_of(1)
     while substeps < MOST_STEPS:
         finer = run_of(2 * substeps)
-        change, left = (np.sqrt(np.nanmean(part**2, axis=0)) for part in (finer - run, record.y - finer))
-        substeps, run = 2 * substeps, finer
-        if np.all(change <= TOLERABLE * left):
-            break
+        substeps, before, run = 2 * substeps, run, finer
+        if bounded(before, finer):
+            change, left = (np.sqrt(np.nanmean(part**2, axis=0)) for part in (finer - before, record.y - finer))
+            if np.all(change <= TOLERABLE * left):
+                break
         x0, offset = found(substeps)
         run = run_of(substeps)
-    if not np.isfinite(run).all():
+    if not bounded(run):
         raise ComputationError(RESULTS.nonfinite, stage="simulation", detail="the outputs grow without bound")
     return FittedRun(run, x0, offset, substeps)

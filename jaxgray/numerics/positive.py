@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Bool, Float
 
+from .bounded import bounded
 from .linear_algebra import (
     duplication,
     from_symmetric_vector,
@@ -111,6 +112,10 @@ class ClarabelSolver(AbstractPositiveSolver):
         import scipy.sparse as sparse
 
         problem = problem.on_host()
+        if not bounded(problem.quadratic, problem.linear):
+            raise ComputationError(
+                RESULTS.semidefinite_solver, stage="semidefinite fit", detail="the problem is not finite"
+            )
         free, floors = problem.unconstrained(), problem.floors
         if np.all(np.isfinite(free)) and inside_cone(free, problem.sizes, floors):
             return free
@@ -249,7 +254,8 @@ class NearestSolver(AbstractPositiveSolver):
 
 
 class ProjectedGradientSolver(AbstractPositiveSolver):
-    """Accelerated projected gradient, ended by Newton steps; traceable, with implicit derivatives.
+    """Accelerated projected gradient, ended by Newton steps; traceable, with implicit derivatives. Not a number where
+    the problem is not finite.
 
     **Arguments:** `tolerance`: norm of the optimality condition, relative; `max_steps`.
 
@@ -271,7 +277,9 @@ class ProjectedGradientSolver(AbstractPositiveSolver):
             problem.sizes,
         )
         start = jnp.where(jnp.isfinite(free), free, 0.0) / size
-        return size * _projected_gradient(self, scaled, start)
+        # Projected on the cone, an infinite gradient ends at the floors and looks like an answer.
+        finite = jnp.all(jnp.isfinite(problem.quadratic)) & jnp.all(jnp.isfinite(problem.linear))
+        return jnp.where(finite, size * _projected_gradient(self, scaled, start), jnp.nan)
 
 
 _NEWTON_STEPS = 3

@@ -1,9 +1,13 @@
 """One step inside the cone: by linear equations where they are enough, by the interior point where not."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxgray.identification.conic import step_inside, undetermined
-from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares
+from jaxgray.numerics.outcomes import ComputationError
+from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver
 
 SIZES = (2, 1, 1, 1)
 FLOORS = np.array([0.01, 0.0, 0.1, 0.0])
@@ -52,3 +56,29 @@ def test_what_a_null_direction_moves_is_undetermined():
     rows[1] = 3 * rows[0]
     rows[4] = 0.0
     assert list(undetermined(rows @ rows.T)) == [True, True, False, False, True]
+
+
+@pytest.fixture(scope="module")
+def traced():
+    """The traceable solver, compiled once."""
+    return jax.jit(lambda problem: ProjectedGradientSolver()(problem))
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1e308])
+@pytest.mark.parametrize("where", ["slope", "across", "diagonal"])
+def test_a_problem_that_overflows_has_no_solution_and_no_step(traced, where, value):
+    rows = np.random.default_rng(2).standard_normal((len(HERE), 30))
+    Q, slope = rows @ rows.T, np.ones(len(HERE))
+    if where == "slope":
+        slope[3] = value
+    elif where == "across":
+        Q[1, 4] = Q[4, 1] = value
+    else:
+        Q[2, 2] = value
+    problem = PositiveLeastSquares(Q, slope, FLOORS, SIZES)
+    with pytest.raises(ComputationError, match="not finite"):
+        ClarabelSolver()(problem)
+    assert step_inside(ClarabelSolver(), Q, slope, HERE, FLOORS, SIZES, None) is None
+    # In traced code nothing can be raised: it ends, and says that there is no answer.
+    found = np.asarray(traced(jax.tree_util.tree_map(jnp.asarray, problem)))
+    assert np.isfinite(value) or np.all(np.isnan(found))

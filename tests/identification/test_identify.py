@@ -14,8 +14,6 @@ from jaxgray.identification.modal_start import modal_start
 from jaxgray.identification.preparation import prepare, scaling_of
 from jaxgray.identification.reach import check_reach
 
-pytestmark = pytest.mark.xdist_group("identify")
-
 H = data.REFERENCE_TIME * 4
 SAMPLES = 4000
 TRUTH = tuple(data.REFERENCE.values())

@@ -11,8 +11,6 @@ import pytest
 
 from jaxgray import RESULTS, Record, identify, identify_many
 
-pytestmark = pytest.mark.xdist_group("identify")
-
 H = data.REFERENCE_TIME * 4
 OPTIONS = {"time_constants": 0.1, "block_rows": 6}
 

@@ -40,7 +40,7 @@ class Spoiled:
 
 @pytest.fixture(scope="module")
 def problem():
-    u, y, _ = data.reference_record(3, samples=3000)
+    u, y, _ = data.reference_record(3, samples=4000)
     record = jaxgray.Record(u, y, data.REFERENCE_TIME)
     scaling = scaling_of([record])
     drive = Force(np.eye(2)).scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time)

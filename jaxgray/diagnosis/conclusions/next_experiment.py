@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...identification.conic import pseudo_inverse
+from ...numerics.bounded import bounded
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from .. import settings
@@ -19,9 +20,6 @@ CHILDREN = 6
 
 SHORTEST = 1000
 """Samples that an experiment has at least, if the record has as many."""
-
-OVERFLOWING = 1e100
-"""Size from which a response has no products to speak of."""
 
 
 def next_experiment(
@@ -88,16 +86,21 @@ def separation(context: SearchContext, members: list[Candidate], data: Data, flo
     """The least d² between the first member and any other; None where one overflows."""
     first = Candidate(members[0].entries, (np.zeros(len(members[0].x0[0])),), members[0].terms)
     y, J = context.simulator.run_and_jacobian(first, data)
+    if not bounded(y, J):
+        return None
     scale = np.where(data.kept[:, :, None], 1 / floor[None, :, None], 0.0)
     table = (J * scale).reshape(-1, J.shape[2])
-    if not np.max(np.abs(table)) < OVERFLOWING:
+    if not bounded(table):
         return None
     inverse = pseudo_inverse(table.T @ table)
     least = None
     for other in members[1:]:
         still = Candidate(other.entries, (np.zeros(len(other.x0[0])),), other.terms)
-        e = ((context.simulator.run(still, data) - y) * scale[:, :, 0]).reshape(-1)
-        if not np.max(np.abs(e)) < OVERFLOWING:
+        run = context.simulator.run(still, data)
+        if not bounded(run):
+            return None
+        e = ((run - y) * scale[:, :, 0]).reshape(-1)
+        if not bounded(e):
             return None
         across = table.T @ e
         d = float(e @ e - across @ inverse @ across)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...mechanics.effects.base import Term
+from ...numerics.bounded import bounded
 from ...numerics.linear_algebra import duplication, from_symmetric_vector
 from ...numerics.positive import ClarabelSolver, PositiveLeastSquares
 from .. import settings
@@ -225,10 +226,10 @@ class Equation:
         plain, columns = np.zeros(len(F)), [np.zeros((len(F), 0))]
         for term, where in zip(terms, moving):
             slopes = [s[:, :, list(where)] for s in self.added(term, slopes=True)]
+            if not bounded(*self.added(term), *slopes):
+                return None
             value = self.weighted(self.added(term), weight)
             table = self.weighted(slopes, weight)
-            if not (np.all(np.isfinite(value)) and np.all(np.isfinite(table))):
-                return None
             plain = plain + value
             columns.append(table)
         rest = F - plain

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...mechanics.extended import Plant, plant_run, slots_of
 from ...mechanics.model import MechanicalModel
+from ...numerics.bounded import LARGEST
 from ...numerics.stored_programs import stored
 from ...records import Record
 from ..model.free_run import FreeRun
@@ -92,10 +93,10 @@ class Windows:
         damping = np.full(len(target), 1e-9)
         idle = 0
         for _ in range(STEPS + 1):
-            made, J = self._run_and_slopes(plant, x0, series)
+            made, J, sound = self._run_and_slopes(plant, x0, series)
             e = (target - made) * weight
-            cost = np.sum(e**2, axis=(1, 2))
-            better = np.isfinite(cost) & (cost < best)
+            cost = np.where(sound[:, 0], np.sum(e**2, axis=(1, 2)), np.inf)
+            better = cost < best
             idle = 0 if np.any(better & ~(cost > (1 - PAYS) * best)) else idle + 1
             y, kept, best = (np.where(_wide(better, x), x, old) for x, old in ((made, y), (x0, kept), (cost, best)))
             if idle > PATIENCE:
@@ -104,7 +105,7 @@ class Windows:
             table = (J * weight[..., None]).reshape(len(target), -1, J.shape[-1])
             for k in range(len(target)):
                 x0[k] = (kept[k] + x0[k]) / 2
-                if better[k] and np.all(np.isfinite(table[k])):
+                if better[k] and np.all(sound[k]):
                     scale = np.linalg.norm(table[k], axis=0)
                     scale = np.where(scale > 0, scale, 1.0)
                     normal = (table[k] / scale).T @ (table[k] / scale) + damping[k] * np.eye(len(scale))
@@ -119,13 +120,16 @@ class Windows:
         return runs
 
     def _run_and_slopes(self, plant, x0, series):
-        """Outputs of all windows and their slopes by the first states, by differences of one part in 10⁵."""
+        """Outputs of all windows, their slopes by the first states, by differences of one part in 10⁵, and which runs
+        of every window (the first is that of the outputs) did not overflow; zero where they did."""
         states = x0.shape[1]
         steps = 1e-5 * np.maximum(np.sqrt(np.mean(self.first**2, axis=0)), 1e-300)
         all_states = np.concatenate([x0[:, None], x0[:, None] + np.diag(steps)[None]], axis=1)
         made = np.asarray(_windows(plant, jnp.asarray(all_states), *series))
+        sound = np.all(np.abs(made) <= LARGEST, axis=(2, 3))
+        made = np.where(sound[:, :, None, None], made, 0.0)
         J = (made[:, 1 : states + 1] - made[:, :1]) / steps[None, :, None, None]
-        return made[:, 0], np.moveaxis(J, 1, -1)
+        return made[:, 0], np.moveaxis(J, 1, -1), sound
 
 
 def _wide(flags, like):

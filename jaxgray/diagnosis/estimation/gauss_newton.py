@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...identification.conic import pseudo_inverse, step_inside, undetermined
+from ...numerics.bounded import bounded
 from ...numerics.positive import ClarabelSolver
 from ..model.candidate import Candidate, Data, Setup
 from ..model.parameter_vector import Layout, state_step
@@ -236,6 +237,8 @@ def with_states(simulator: Simulator, fit: Refit, data: list[Data], *, steps: in
             x0 = tuple(x + change if j == k else x for j, x in enumerate(candidate.x0))
             trial = Candidate(candidate.entries, x0, candidate.terms)
             y, J = simulator.run_and_jacobian(trial, d, k)
+            if not bounded(y, J):
+                break
             new, J = decided_residual(simulator, trial, d, y, J, k)
             if not np.sum((new / scale) ** 2) < np.sum((e / scale) ** 2):
                 break

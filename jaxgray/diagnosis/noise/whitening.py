@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 
 from ...identification.validation import AR_ORDER, ar_coefficients
 from ...mechanics.statespace import StateSpace
+from ...numerics.bounded import bounded
 from ...numerics.filters import filtered
 from ...numerics.lifting import respond, respond_many
 from ...numerics.riccati import kalman_gain
@@ -175,8 +176,10 @@ def estimate_noise_model(
         return jax.device_get(_over_ratios(A, B, C, D, force, np.diag(V), ratios, e, rows))
 
     gains, products = (np.concatenate(X) for X in zip(*side_by_side(some, np.split(RATIOS[1:], AT_ONCE))))
-    costs = np.linalg.slogdet(products / max(int(rows.sum()), 1) + 1e-300 * np.eye(len(C)))[1]
-    tried = np.flatnonzero(np.isfinite(costs) & np.all(np.isfinite(gains), axis=(1, 2)))
+    sound = np.array([bounded(*pair) for pair in zip(gains, products)])
+    costs = np.full(len(gains), np.inf)
+    costs[sound] = np.linalg.slogdet(products[sound] / max(int(rows.sum()), 1) + 1e-300 * np.eye(len(C)))[1]
+    tried = np.flatnonzero(np.isfinite(costs))
     plain = _with_colour(A, C, np.zeros((A.shape[0], C.shape[0])), 0.0, e, e, kept, rows)
     best = int(np.argmin(costs[tried])) if len(tried) else 0
     noise_model = plain
