@@ -1,10 +1,12 @@
 """Fixed sets of records whose answers every change of the diagnosis is held against, record by record.
 
     python benchmarks/yardstick.py --store NEW.json [--sets nulls,pairs] [--share 0.5] [--data DIR] [--cache DIR]
+        [--setting NAME=VALUE ...]
     python benchmarks/yardstick.py --compare OLD.json NEW.json
 
 The first command diagnoses the sets and stores every answer with its time after each record; called again with the same
-file it does what is missing. The second counts per set what became better, worse and stayed the same, and tests the
+file it does what is missing. `--setting` moves a threshold of `jaxgray/diagnosis/settings.py` first: how much hangs on
+it shows in the comparison. The second counts per set what became better, worse and stayed the same, and tests the
 difference by McNemar's test on the discordant records: unpaired counts of 200 records show no change below 6 %, paired
 ones one of 3 %. Records are simulated (tests/hidden.py) from seeds that are spent: they say whether a change is one,
 not how good the diagnosis is on records it has not seen.
@@ -29,6 +31,7 @@ import jax  # noqa: E402
 import numpy as np  # noqa: E402
 
 import jaxgray  # noqa: E402
+from jaxgray.diagnosis import settings  # noqa: E402
 
 hidden = hidden_effects.hidden
 
@@ -138,6 +141,16 @@ def store(path: pathlib.Path, sets: list[str], share: float, folder: pathlib.Pat
             keep(row)
 
 
+def moved(assignments: list[str]):
+    """Give thresholds other values, each as NAME=VALUE."""
+    for text in assignments:
+        name, _, value = text.partition("=")
+        if not isinstance(getattr(settings, name, None), (int, float)):
+            known = ", ".join(n for n, x in vars(settings).items() if isinstance(x, (int, float)))
+            raise SystemExit(f"--setting {text}: {name!r} is no threshold; give one of {known}.")
+        setattr(settings, name, type(getattr(settings, name))(float(value)))
+
+
 def mcnemar(better: int, worse: int) -> float:
     """Two-sided exact p of so many discordant pairs."""
     n, k = better + worse, min(better, worse)
@@ -178,12 +191,14 @@ def main():
     parser.add_argument("--share", type=float, default=1.0, help="share of the simulated records, the same ones always")
     parser.add_argument("--data", type=pathlib.Path, help="folder of measured records")
     parser.add_argument("--cache", help="folder that keeps compiled programs for the next run")
+    parser.add_argument("--setting", action="append", default=[], metavar="NAME=VALUE", help="move a threshold first")
     given = parser.parse_args()
     if (given.store is None) == (given.compare is None):
         parser.error("give --store FILE or --compare OLD NEW")
     if given.compare:
         compare(*(json.loads(path.read_text()) for path in given.compare))
         return
+    moved(given.setting)
     if given.cache:
         jax.config.update("jax_compilation_cache_dir", given.cache)
     store(given.store, given.sets.split(","), given.share, given.data)
