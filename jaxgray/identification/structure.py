@@ -26,6 +26,11 @@ LIFT = 1e-3
 class AbstractAssembly(eqx.Module):
     """How one of M, D, K is built from blocks."""
 
+    @property
+    def positive(self) -> bool:
+        """Whether the matrix is positive semidefinite where its blocks are."""
+        return True
+
     @abc.abstractmethod
     def sizes(self, dofs: int) -> tuple[int, ...]:
         """Rows of each block."""
@@ -57,6 +62,31 @@ class Full(AbstractAssembly):
 
     def blocks(self, matrix, mass, stiffness):
         return [matrix]
+
+
+class Shifted(AbstractAssembly):
+    """A symmetric matrix that need not be positive: a block less a multiple of the identity.
+
+    The damping of a canonical form with several hidden coordinates is no physical matrix.
+    """
+
+    shift: Float[Array, ""]
+
+    @property
+    def positive(self):
+        return False
+
+    def sizes(self, dofs):
+        return (dofs,)
+
+    def scaled(self, coordinates):
+        return self
+
+    def matrix(self, blocks, mass, stiffness):
+        return blocks[0] - self.shift * np.eye(blocks[0].shape[0])
+
+    def blocks(self, matrix, mass, stiffness):
+        return [matrix + self.shift * np.eye(matrix.shape[0])]
 
 
 class Diagonal(AbstractAssembly):
@@ -233,3 +263,7 @@ def structure_of(names: str | tuple[str, ...] | None) -> Structure:
         owner, assembly = _BY_NAME[name]
         chosen[owner] = assembly
     return Structure(**chosen)
+
+
+NAMES = tuple(_BY_NAME)
+"""Structures by the name that the command uses."""

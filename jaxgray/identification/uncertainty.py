@@ -124,7 +124,7 @@ def uncertainty(
         _condition(values) if count else 1.0,
         weak,
         unmoved,
-        _edges(refinement, scaling),
+        _edges(refinement, scaling, structure),
         meat is not None,
     )
 
@@ -158,9 +158,11 @@ def _combination(vector: np.ndarray, names: list[str]) -> str:
     return " ".join(f"{'+' if vector[k] > 0 else '-'}{abs(vector[k]):.2f} {names[k]}" for k in shown)
 
 
-def _edges(refinement: Refinement, scaling: Scaling) -> tuple[str, ...]:
+def _edges(refinement: Refinement, scaling: Scaling, structure: Structure) -> tuple[str, ...]:
     found = []
     for name in ("mass", "damping", "stiffness"):
+        if not getattr(structure, name).positive:
+            continue
         matrix = np.asarray(getattr(refinement, name))
         values, vectors = np.linalg.eigh(matrix)
         for value, vector in zip(values, vectors.T):
