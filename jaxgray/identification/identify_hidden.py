@@ -25,10 +25,10 @@ from .hidden import (
     block_row_choices,
     canonical_count,
     canonical_gauge,
+    canonical_structure,
     closed_form,
     determinacy,
     fixed_elements,
-    held_entries,
     is_connections,
     matched,
     physical_canonical,
@@ -36,7 +36,7 @@ from .hidden import (
     realized_response,
 )
 from .normal import join
-from .options import drive_of, fixed_entries, parse_fix, pick, with_known
+from .options import drive_of, pick
 from .physical import Scaling
 from .prediction import Batch, Setting, best_run
 from .preparation import Signals, prepare, scaling_of
@@ -47,7 +47,7 @@ from .refine import Refinement, StructurePrice, refine, start_kept
 from .result import Identification, assess
 from .rigid import DRIFT, TURNED, phases, rigid_modes, windows
 from .start import Start, filled, total_deviation
-from .structure import Full, Shifted, Structure
+from .structure import Structure
 from .sweep import default_time_constants
 
 MOST_REALIZATIONS = 4
@@ -58,9 +58,6 @@ MOST_ALTERNATIVES = 4
 
 AS_LIKELY = 6.0
 """Rise of −2 ln L up to which another set of parameters counts as equally good."""
-
-SHIFT = 4.0
-"""How far below zero the damping of a canonical form may go, in units of its largest eigenvalue."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +109,9 @@ def wants_hidden(hidden, structure) -> bool:
 
 @dataclass(frozen=True)
 class _Task:
-    """Records and everything that stays fixed while models are looked for; scaled."""
+    """Records (`whole`, or pieces of them) and everything that stays fixed while models are looked for; scaled."""
 
+    whole: list[Record]
     records: list[Record]
     held_out: list[Record]
     signals: list[Signals]
@@ -176,7 +174,7 @@ def identify_hidden(
     complete = filled(records, scaling, None) if any(r.has_missing for r in records) else signals
     check_reach(complete, first.input_names, first.output_names)
     middle = float(np.exp(np.mean(np.log(np.asarray(scaling.coordinates)))))
-    task = _Task(records, held_out, signals, complete, drive, scaling, request, progress).with_units(middle)
+    task = _Task(records, records, held_out, signals, complete, drive, scaling, request, progress).with_units(middle)
     found = _realizations(task)
     if complete is not signals:
         runs = [_run(found[0][0], task, s) for s in complete]
@@ -257,9 +255,11 @@ def canonical_fit(task: _Task, found) -> tuple[_Task, Start, Refinement | None, 
     **Raises:** `ComputationError` where no realisation has a canonical form.
     """
     p, n = task.outputs, len(task.request.names)
-    entries = parse_fix(task.request.fix)
-    if any(c >= p for _, _, c in entries):
-        raise ValueError("fix: entries of hidden coordinates are set by the canonical form; give a structure instead.")
+    if task.request.fix:
+        raise ValueError(
+            f"fix={task.request.fix!r} needs a structure: without one, entries belong to a representative; give "
+            f"structure='{_example(task.records[0], task.request.names)}' or the like."
+        )
     starts, failure = [], None
     for model, tau, rows in found[:MOST_REALIZATIONS]:
         try:
@@ -271,15 +271,13 @@ def canonical_fit(task: _Task, found) -> tuple[_Task, Start, Refinement | None, 
         raise ComputationError(RESULTS.unstable_start, stage="closed form", detail=detail)
     starts = [pair for pair in starts if np.isfinite(pair[1].score)] or starts
     task, start = max(starts, key=lambda pair: pair[1].score)
-    held = held_entries(p, n)
-    mask, known = fixed_entries(entries, Structure(), task.scaling)
-    held = held | mask
-    matrices = tuple(with_known(X, known[name]) for X, name in zip(start.matrices, ("mass", "damping", "stiffness")))
-    form = Structure(Full(), Full() if n <= 1 else _shifted(matrices[1]), Full())
+    form = canonical_structure(*(np.asarray(X) for X in start.matrices), n)
+    held = np.zeros(canonical_count(p, n), bool)
     if not task.request.refine:
         return task, start, None, form, held
+    task = _in_windows(task, start)
     task.progress.stage("refining")
-    refinement = _refined(task, replace(start, matrices=matrices), form, held)
+    refinement = _refined(task, start, form, held)
     return task, start, refinement, form, held
 
 
@@ -299,8 +297,13 @@ def _canonical_start(task: _Task, model: HigherOrder, tau: float, rows: int) -> 
     return task, _start(task, matrices, model, tau, rows, "subspace")
 
 
-def _shifted(damping: np.ndarray) -> Shifted:
-    return Shifted(np.asarray(SHIFT * np.max(np.abs(np.linalg.eigvalsh(damping)))))
+def _in_windows(task: _Task, start: Start) -> _Task:
+    """The task on pieces of the records where a body free to move drifts in the free run over the whole."""
+    longest = max(r.samples for r in task.records)
+    if task.records is not task.whole or not rigid_modes(start, longest) or not np.max(start.deviation) > DRIFT:
+        return task
+    pieces = windows(task.records)
+    return replace(task, records=pieces, signals=[prepare(r, task.scaling) for r in pieces])
 
 
 def _refined(task: _Task, start: Start, form: Structure, held) -> Refinement:
@@ -309,15 +312,30 @@ def _refined(task: _Task, start: Start, form: Structure, held) -> Refinement:
     longest = max(r.samples for r in task.records)
     offset = bool(phases(start.matrices, longest)[0] > TURNED)
     options = {"structure": form, "offset": offset}
-    refinement = refine(
-        start.matrices,
-        batch,
-        setting,
-        fixed=held,
-        innovations=task.request.noise == "innovations",
-        deviation=np.asarray(start.deviation),
-        **options,
-    )
+    innovations = task.request.noise == "innovations"
+
+    def refined(near: bool) -> Refinement:
+        return refine(
+            start.matrices,
+            batch,
+            setting,
+            fixed=held if np.any(held) else None,
+            innovations=innovations,
+            deviation=np.asarray(start.deviation),
+            near=near,
+            **options,
+        )
+
+    refinement = None
+    if start.serves and not innovations:
+        # Next to the optimum the steps over the cone alone are quicker, and exact.
+        try:
+            refinement = refined(near=True)
+        except ComputationError:
+            refinement = None
+    if refinement is None or refinement.result != RESULTS.successful:
+        other = refined(near=False)
+        refinement = other if refinement is None or other.cost < refinement.cost else refinement
     end = refinement.mass, refinement.damping, refinement.stiffness
     held_out = [prepare(r, task.scaling) for r in task.held_out]
     if task.request.noise == "output-error" and lost(end, start.matrices, setting, held_out):
@@ -351,6 +369,8 @@ def _structured(task: _Task, found, connections: Connections, notes: tuple[str, 
             free = canonical_fit(replace(task, request=replace(task.request, fix=None)), found)
         except ComputationError:
             free = None
+        if free is not None:
+            task = replace(task, records=free[0].records, signals=free[0].signals)
     best, tau, rows = found[0]
     target, rates = _target(task, best, free)
     ends = matched(family, target, rates, given)
@@ -406,10 +426,7 @@ def _target(task: _Task, best: HigherOrder, free):
 
 def _all_refined(task: _Task, starts: list[Start], form, held) -> tuple[_Task, list[Refinement]]:
     """Refinements from equally good starts; of the ends, those as likely as the best, no two alike."""
-    longest = max(r.samples for r in task.records)
-    if rigid_modes(starts[0], longest) and np.max(starts[0].deviation) > DRIFT:
-        pieces = windows(task.records)
-        task = replace(task, records=pieces, signals=[prepare(r, task.scaling) for r in pieces])
+    task = _in_windows(task, starts[0])
     ends, failure = [], None
     for start in starts:
         try:
@@ -467,7 +484,7 @@ def _assessed(task: _Task, model, start, refinement, form, held, notes, evidence
     extra = ()
     if evidence.rank < evidence.parameters or evidence.alternatives:
         extra = tuple(evidence.sentences())
-    return assess(
+    result = assess(
         model,
         task.records,
         task.held_out,
@@ -482,6 +499,7 @@ def _assessed(task: _Task, model, start, refinement, form, held, notes, evidence
         notes + extra,
         evidence,
     )
+    return result if task.records is task.whole else result.judged_on(task.whole)
 
 
 def _entries_by_elements(connections: Connections) -> Float[np.ndarray, "entries parameters"]:

@@ -28,7 +28,12 @@ class AbstractAssembly(eqx.Module):
 
     @property
     def positive(self) -> bool:
-        """Whether the matrix is positive semidefinite where its blocks are."""
+        """Whether a singular matrix lies on the edge of what is allowed to it."""
+        return True
+
+    @property
+    def sized(self) -> bool:
+        """Whether blocks have a size of their own, so that one which is zero is a parameter without effect."""
         return True
 
     @abc.abstractmethod
@@ -62,31 +67,6 @@ class Full(AbstractAssembly):
 
     def blocks(self, matrix, mass, stiffness):
         return [matrix]
-
-
-class Shifted(AbstractAssembly):
-    """A symmetric matrix that need not be positive: a block less a multiple of the identity.
-
-    The damping of a canonical form with several hidden coordinates is no physical matrix.
-    """
-
-    shift: Float[Array, ""]
-
-    @property
-    def positive(self):
-        return False
-
-    def sizes(self, dofs):
-        return (dofs,)
-
-    def scaled(self, coordinates):
-        return self
-
-    def matrix(self, blocks, mass, stiffness):
-        return blocks[0] - self.shift * np.eye(blocks[0].shape[0])
-
-    def blocks(self, matrix, mass, stiffness):
-        return [matrix + self.shift * np.eye(matrix.shape[0])]
 
 
 class Diagonal(AbstractAssembly):

@@ -112,7 +112,10 @@ def uncertainty(
     block_names = _block_entry_names(structure, dofs)
     kept_names = [name for name, keep in zip(block_names, free[:entries]) if keep]
     strength = diagonal[:count] * sizes**2 / max(float(refinement.variance), 1e-300)
-    unmoved = tuple(name for name, moved in zip(kept_names, strength) if not moved > UNMOVED**2)
+    sized = np.array([getattr(structure, name.split("[")[0].split(" ")[0]).sized for name in kept_names], bool)
+    # One that is not there has no size by which to judge it.
+    telling = sized | (sizes > 0) | (diagonal[:count] == 0)
+    unmoved = tuple(name for name, moved, told in zip(kept_names, strength, telling) if told and not moved > UNMOVED**2)
     weak = tuple(
         _combination(vectors[:, k], kept_names)
         for k in range(count)

@@ -1,9 +1,9 @@
 """Coordinates that no sensor sees: canonical form, start in closed form, physical structure and what it determines."""
 
+from .assemblies import canonical_structure as canonical_structure
 from .canonical import Canonical as Canonical
 from .canonical import canonical_count as canonical_count
 from .canonical import canonical_gauge as canonical_gauge
-from .canonical import held_entries as held_entries
 from .closed_form import canonical_of as canonical_of
 from .closed_form import closed_form as closed_form
 from .connections import Connected as Connected

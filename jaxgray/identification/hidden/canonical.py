@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...numerics.linear_algebra import from_triangle, triangle, triangle_vector
+from ...numerics.linear_algebra import from_triangle, triangle_vector
 from ...numerics.namespace import namespace
 
 
@@ -105,9 +105,3 @@ def canonical_gauge(outputs: int, hidden: int) -> Bool[np.ndarray, "matrices dof
     own = (index[:, None] >= outputs) | (index[None, :] >= outputs)
     between = (index[:, None] >= outputs) & (index[None, :] >= outputs) & (index[:, None] != index[None, :])
     return np.stack([own, between, between])
-
-
-def held_entries(outputs: int, hidden: int) -> Bool[np.ndarray, " entries"]:
-    """The same over the stacked triangles of M, D, K by columns."""
-    rows, columns = triangle(outputs + hidden)
-    return np.concatenate([X[rows, columns] for X in canonical_gauge(outputs, hidden)])

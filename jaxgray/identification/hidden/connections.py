@@ -27,6 +27,15 @@ class Connected(AbstractAssembly):
     arms: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     coordinates: Float[Array, " dofs"] | None = None
 
+    @property
+    def positive(self):
+        # Singular where the structure has no spring to ground, which is no edge.
+        return False
+
+    @property
+    def sized(self):
+        return False
+
     def sizes(self, dofs):
         return (1,) * len(self.arms)
 

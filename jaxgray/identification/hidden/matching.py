@@ -30,6 +30,12 @@ EQUAL = 1e-3
 EXACT = 1e-12
 """The same where the target has hardly any noise."""
 
+ROUNDS = 3
+"""Times that random starts are drawn where none comes near."""
+
+GOOD = 1e-5
+"""Mean squared relative error that is near."""
+
 MOST_ENDS = 12
 """Different ends that are carried from one contour to the next."""
 
@@ -64,14 +70,19 @@ def matched(
     **Returns:** a `Matched`.
     """
     free = ~np.isfinite(known)
-    x, fixed = _starts(family, target, rates, known, starts, seed, first)
-    cost = None
-    for angle, steps in zip(ANGLES, STEPS):
-        s = contour(rates, angle)
-        wanted = target(s)
-        x, cost = _descend(family, s, wanted, x, fixed, free, steps)
+    x, cost = np.zeros((0, int(free.sum()))), np.zeros(0)
+    for k in range(ROUNDS):
+        begun, fixed = _starts(family, target, rates, known, starts, seed + k, first)
+        for angle, steps in zip(ANGLES, STEPS):
+            s = contour(rates, angle)
+            begun, error = _descend(family, s, target(s), begun, fixed, free, steps)
+            keep = _distinct(_parameters(begun, fixed, free), error, family)
+            begun, error = begun[keep], error[keep]
+        x, cost = np.concatenate([x, begun]), np.concatenate([cost, error])
         keep = _distinct(_parameters(x, fixed, free), cost, family)
         x, cost = x[keep], cost[keep]
+        if cost[0] < GOOD:
+            break
     good = np.isfinite(cost) & (cost <= cost[0] * (1 + EQUAL) + EXACT)
     return Matched(_parameters(x[good], fixed, free), cost[good])
 
