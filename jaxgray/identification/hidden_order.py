@@ -55,7 +55,7 @@ def identify_auto(
 
     def fitted(count: int, given: list[Record], kept: list[Record]) -> Identification:
         if count:
-            return identify_hidden(given, kept, request.named(count), list(notes), progress)
+            return identify_hidden(given, kept, request.named(count, records[0].output_names), list(notes), progress)
         return without(
             given,
             validation=kept or None,

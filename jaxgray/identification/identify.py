@@ -111,7 +111,7 @@ def identify(
     if input_matrix_from not in ("best", "record", "factor"):
         raise ValueError(f"input_matrix_from={input_matrix_from!r} is not known; choose 'best', 'record' or 'factor'.")
     weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
-    if wants_hidden(hidden, structure):
+    if wants_hidden(hidden, structure, records[0].output_names):
         request = HiddenRequest(
             structure=structure,
             fix=fix,
@@ -128,7 +128,7 @@ def identify(
         if hidden == "auto":
             own = {"input_matrix_from": input_matrix_from, "progress": progress}
             return identify_auto(records, held_out, request, notes, partial(identify, **own), progress)
-        return identify_hidden(records, held_out, request.named(hidden), notes, progress)
+        return identify_hidden(records, held_out, request.named(hidden, records[0].output_names), notes, progress)
     drive = drive_of(records[0], excitation, input_map, relative)
     form = structure_of(structure)
     entries = parse_fix(fix)

@@ -17,6 +17,7 @@ from ..records import Record
 from .guard import lost
 from .hidden import (
     Connections,
+    MEMORIES,
     Determinacy,
     Element,
     Family,
@@ -29,6 +30,8 @@ from .hidden import (
     closed_form,
     determinacy,
     fixed_elements,
+    high_passed,
+    in_units,
     is_connections,
     matched,
     physical_canonical,
@@ -48,7 +51,7 @@ from .result import Identification, assess
 from .rigid import DRIFT, TURNED, phases, rigid_modes, windows
 from .start import Start, filled, total_deviation
 from .structure import Structure
-from .sweep import default_time_constants
+from .sweep import default_time_constants, score
 
 MOST_REALIZATIONS = 4
 """Realisations, the best first, that are turned into starting models."""
@@ -78,25 +81,26 @@ class HiddenRequest:
     refine: bool
     names: tuple[str, ...] = ()
 
-    def named(self, hidden) -> "HiddenRequest":
+    def named(self, hidden, outputs: tuple[str, ...]) -> "HiddenRequest":
         """The request with its hidden coordinates, its structure as text.
 
-        **Arguments:** `hidden`: how many, or their names.
+        **Arguments:** `hidden`: how many, or their names; `outputs`: names of the outputs.
 
         **Raises:** `ValueError` where these, or the structure, are not understood.
         """
         given = self.structure
         text = given if given is None or isinstance(given, str) else ", ".join(given)
-        if text and not is_connections(text):
+        names = hidden_names(hidden)
+        if text and not is_connections(text, outputs + names):
             raise ValueError(
                 f"structure={given!r} says nothing of hidden coordinates; say how they are connected, such as "
-                "'y1-h1, h1-ground' (masses are diagonal then)."
+                f"'{outputs[0]}-{names[0] if names else 'ground'}' (masses are diagonal then)."
             )
-        return replace(self, names=hidden_names(hidden), structure=text or None)
+        return replace(self, names=names, structure=text or None)
 
 
-def wants_hidden(hidden, structure) -> bool:
-    """Whether a model with hidden coordinates, or with named connections, is asked for.
+def wants_hidden(hidden, structure, outputs: tuple[str, ...]) -> bool:
+    """Whether a model with hidden coordinates, or with named connections, is asked for; `outputs`: their names.
 
     **Raises:** `ValueError` where `hidden` is not understood.
     """
@@ -104,7 +108,7 @@ def wants_hidden(hidden, structure) -> bool:
         return True
     if isinstance(hidden, str):
         raise ValueError(f"hidden={hidden!r} is not understood; give a number, 'auto', or a list of names.")
-    return bool(hidden_names(hidden)) or is_connections(structure)
+    return bool(hidden_names(hidden)) or is_connections(structure, outputs)
 
 
 @dataclass(frozen=True)
@@ -212,18 +216,38 @@ def _realizations(task: _Task) -> list[tuple[HigherOrder, float, int]]:
             f"{-(-order // record.outputs) + 1}, or a longer record."
         )
     taus = default_time_constants(record) if request.time_constants is None else np.atleast_1d(request.time_constants)
-    return realizations(
-        task.complete,
-        task.setting.drive,
-        record.measured,
-        record.hold,
-        task.scaling.sampling_time,
-        order,
-        time_constants=np.asarray(taus, float),
-        block_rows=rows,
-        weight=pick("weight", request.weight, WEIGHTS),
-        map=pick("map", request.map, MAPS),
-    )
+
+    def found(signals: list[Signals]):
+        return realizations(
+            signals,
+            task.setting.drive,
+            record.measured,
+            record.hold,
+            task.scaling.sampling_time,
+            order,
+            time_constants=np.asarray(taus, float),
+            block_rows=rows,
+            weight=pick("weight", request.weight, WEIGHTS),
+            map=pick("map", request.map, MAPS),
+        )
+
+    models = found(task.complete)
+    if not np.any(models[0][0].deviation > DRIFT):
+        return models
+    families = [models]
+    for memory in MEMORIES:
+        parts = [high_passed(s, memory) for s in task.complete]
+        # Several records in the units of the longest.
+        _, inputs, outputs = max(parts, key=lambda part: part[0].samples)
+        signals = [
+            eqx.tree_at(lambda s: (s.u, s.y), s, (s.u * own_u / inputs, s.y * own_y / outputs)) for s, own_u, own_y in parts
+        ]
+        try:
+            families.append([(in_units(m, inputs, outputs), tau, i) for m, tau, i in found(signals)])
+        except ComputationError:
+            continue
+    # By turns from every family: their free runs are no measure of one another.
+    return [family[k] for k in range(MOST_REALIZATIONS) for family in families if k < len(family)]
 
 
 def _run(model: HigherOrder, task: _Task, signals: Signals) -> np.ndarray:
@@ -261,7 +285,7 @@ def canonical_fit(task: _Task, found) -> tuple[_Task, Start, Refinement | None, 
             f"structure='{_example(task.records[0], task.request.names)}' or the like."
         )
     starts, failure = [], None
-    for model, tau, rows in found[:MOST_REALIZATIONS]:
+    for model, tau, rows in found[: 2 * MOST_REALIZATIONS]:
         try:
             starts.append(_canonical_start(task, model, tau, rows))
         except (ComputationError, np.linalg.LinAlgError) as error:
@@ -269,8 +293,7 @@ def canonical_fit(task: _Task, found) -> tuple[_Task, Start, Refinement | None, 
     if not starts:
         detail = getattr(failure, "detail", None) or str(failure)
         raise ComputationError(RESULTS.unstable_start, stage="closed form", detail=detail)
-    starts = [pair for pair in starts if np.isfinite(pair[1].score)] or starts
-    task, start = max(starts, key=lambda pair: pair[1].score)
+    task, start = max(starts, key=lambda pair: _merit(*pair))
     form = canonical_structure(*(np.asarray(X) for X in start.matrices), n)
     held = np.zeros(canonical_count(p, n), bool)
     if not task.request.refine:
@@ -295,6 +318,14 @@ def _canonical_start(task: _Task, model: HigherOrder, tau: float, rows: int) -> 
     matrices = tuple(X * units[:, None] * units[None, :] for X in (M, D, K))
     task = task.with_units(float(task.scaling.sampling_time) * size)
     return task, _start(task, matrices, model, tau, rows, "subspace")
+
+
+def _merit(task: _Task, start: Start) -> float:
+    """Likelihood of a start's free run, over pieces of the record where it drifts."""
+    pieces = _in_windows(task, start)
+    if pieces.records is task.records:
+        return start.score
+    return float(score(total_deviation(start.matrices, pieces.setting, pieces.signals)))
 
 
 def _in_windows(task: _Task, start: Start) -> _Task:

@@ -1,5 +1,7 @@
 """Results as plain dictionaries: what goes into the JSON files and onto the terminal."""
 
+import dataclasses
+
 import numpy as np
 
 from ..identification.result import Identification
@@ -35,7 +37,8 @@ def identification_document(result: Identification, warnings: tuple[str, ...] = 
             if spread is None
             else {name: errors.tolist() for name, errors in result.standard_errors.items()},
             "units": matrix_units(model),
-        },
+        }
+        | hidden_entries(result),
         "fit_percent": result.fit_percent,
         "rmse": result.rmse,
         "noise_floor": per_name(model.output_names, result.noise_floor),
@@ -53,6 +56,7 @@ def identification_document(result: Identification, warnings: tuple[str, ...] = 
         "at_edge": None if spread is None else list(spread.at_edge),
         "weak_directions": None if spread is None else list(spread.weak_directions),
         "unmoved": None if spread is None else list(spread.unmoved),
+        "hidden": hidden_document(result),
         "residual_test": {
             "white": tests.white,
             "input_explained": tests.input_explained,
@@ -69,6 +73,41 @@ def identification_document(result: Identification, warnings: tuple[str, ...] = 
             "validation": [record_document(record) for record in result.validation_records],
         },
         "warnings": list(dict.fromkeys((*warnings, *result.warnings))),
+    }
+
+
+def hidden_entries(result: Identification) -> dict:
+    """Of every entry of the matrices, what it is: "set", "canonical", "open" or "physical"; nothing without hidden
+    coordinates."""
+    if result.hidden is None or not result.model.hidden:
+        return {}
+    dofs = range(result.model.dofs)
+    kind = result.hidden.kind
+    names = ("mass", "damping", "stiffness")
+    return {"entries": {name: [[kind(name, r, c) for c in dofs] for r in dofs] for name in names}}
+
+
+def hidden_document(result: Identification) -> dict | None:
+    """What is known of coordinates that no output measures; None where every one is."""
+    known = result.hidden
+    if known is None:
+        return None
+    order = known.order
+    return {
+        "coordinates": list(known.names),
+        "canonical": known.canonical,
+        "rank": known.rank,
+        "parameters": known.parameters,
+        "combinations": list(known.combinations),
+        "elements": [dataclasses.asdict(element) for element in known.elements],
+        "alternatives": [model_document(model) for model in known.alternatives],
+        "order": None
+        if order is None
+        else {
+            "steps": [dataclasses.asdict(step) for step in order.steps],
+            "singular_values": order.singular_values,
+        },
+        "sentences": known.sentences(),
     }
 
 

@@ -12,6 +12,9 @@ from .connections import fixed_elements as fixed_elements
 from .connections import is_connections as is_connections
 from .determinacy import Determinacy as Determinacy
 from .determinacy import determinacy as determinacy
+from .drift import MEMORIES as MEMORIES
+from .drift import high_passed as high_passed
+from .drift import in_units as in_units
 from .evidence import Element as Element
 from .evidence import HiddenEvidence as HiddenEvidence
 from .evidence import OrderEvidence as OrderEvidence

@@ -152,10 +152,15 @@ def _arm(place: str, names: tuple[str, ...], text: str) -> tuple[str, np.ndarray
     return f"{first}-{second}", arm
 
 
-def is_connections(structure) -> bool:
-    """Whether a structure is given by connections rather than by the names of assemblies."""
+def is_connections(structure, names: tuple[str, ...]) -> bool:
+    """Whether a structure is given by connections of some coordinates rather than by the names of assemblies."""
     text = structure if isinstance(structure, str) else ",".join(structure or ())
-    return bool(text) and not all(part.strip() in NAMES for part in text.split(",") if part.strip())
+    places = [part.partition(":")[0].strip() for part in text.split(",") if part.strip()]
+    ends = (*names, GROUND)
+    return any(
+        place not in NAMES and any(place.startswith(f"{end}-") or place.endswith(f"-{end}") for end in ends)
+        for place in places
+    )
 
 
 _ELEMENT = re.compile(r"^\s*(mass|damping|stiffness)\s*\[\s*([^\]]+?)\s*\]\s*$")

@@ -26,16 +26,16 @@ def physical_canonical(found: Canonical) -> tuple[np.ndarray, np.ndarray, np.nda
 
     **Returns:** M ≻ 0, D (D ⪰ 0 with one hidden coordinate), K ⪰ 0.
 
-    **Raises:** `ComputationError` where the mass of the measured coordinates is not positive at all.
+    **Raises:** `ComputationError` where the mass of the measured coordinates, or a hidden stiffness, is negative.
     """
     p, n = found.outputs, found.hidden
     values, vectors = np.linalg.eigh(found.mass)
-    if not values[-1] > 0:
+    if not (values[-1] > 0 and np.all(found.squared > 0)):
         raise ComputationError(
-            RESULTS.semidefinite_solver, stage="closed form", detail="the mass of the measured coordinates is negative"
+            RESULTS.semidefinite_solver, stage="closed form", detail="a mass or a hidden stiffness is negative"
         )
     mass = (vectors * np.maximum(values, LEAST_MASS * values[-1])) @ vectors.T
-    omega = np.sqrt(found.squared)
+    omega = np.sqrt(np.maximum(found.squared, 0.0))
     rate = np.maximum(found.rate, 2 * LEAST_DAMPING * omega)
     M, D, K = Canonical(
         mass, found.damping, found.stiffness, found.squared, rate, found.spring, found.damper
