@@ -116,7 +116,7 @@ def mode_rows(document: dict) -> Rows:
             (
                 str(k + 1),
                 plus_minus(mode["frequency_hz"], mode["frequency_standard_error"]),
-                plus_minus(100 * ratio, None if error is None else 100 * error),
+                plus_minus(None if ratio is None else 100 * ratio, None if error is None else 100 * error),
                 *(f"{v:+.3f}" for v in shape / np.max(np.abs(shape))),
             )
         )

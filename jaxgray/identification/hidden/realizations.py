@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from ...mechanics.drives import ORDER, AbstractDrive, Force
 from ...mechanics.statespace import StateSpace, hold_matrices
 from ...numerics.lifting import free_response, respond
-from ...numerics.linear_algebra import least_squares, triangular_factor
+from ...numerics.linear_algebra import least_squares, null_basis, triangular_factor
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.stored_programs import stored
 from ..filter_bank import pole
@@ -94,7 +94,7 @@ def input_basis(
         rows.append(jnp.linalg.solve(A.T, rows[-1].T).T)
     C = jnp.stack([rows[r][k] for k, r in enumerate(order)])
     # No force moves a displacement at once.
-    b = jnp.linalg.qr(C.T, mode="complete")[0][:, len(order) :]
+    b = null_basis(C)
     d = jnp.where((order == 2)[:, None], C @ A @ b, 0.0)
     return b, d, C, Cy
 

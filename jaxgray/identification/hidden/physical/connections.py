@@ -10,8 +10,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...numerics.namespace import namespace
-from ..structure import NAMES, AbstractAssembly, Diagonal, Structure
+from ....numerics.namespace import namespace
+from ...structure import NAMES, AbstractAssembly, Diagonal, Structure
 
 GROUND = "ground"
 KINDS = {"spring": ("stiffness",), "damper": ("damping",), "": ("damping", "stiffness")}

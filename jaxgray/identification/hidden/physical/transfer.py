@@ -9,20 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from ...mechanics.drives import ORDER, AbstractDrive, BaseAcceleration, Force
-from ..normal import part
-from ..prediction import Setting
-from ..structure import Structure
+from ....mechanics.drives import ORDER, AbstractDrive, BaseAcceleration, Force
+from ...normal import part
+from ...prediction import Setting
+from ...structure import Structure
 
 
 @dataclass(frozen=True)
 class Family:
-    """`bases` (S_i) and `powers` (k_i) of every parameter; `drive`; `order`: time derivatives that outputs measure."""
+    """`bases` (S_i) and `powers` (k_i) of every parameter; `drive`; `order`: time derivatives that outputs measure;
+    `arms` (a_i) where every S_i is a_i a_iᵀ, else None."""
 
     bases: Float[np.ndarray, "parameters dofs dofs"]
     powers: Int[np.ndarray, " parameters"]
     drive: AbstractDrive
     order: Int[np.ndarray, " outputs"]
+    arms: Float[np.ndarray, "parameters dofs"] | None = None
 
     @classmethod
     def of(cls, structure: Structure, setting: Setting) -> "Family":
@@ -38,7 +40,10 @@ class Family:
             ]
         )
         bases = np.array([np.asarray(three[2 - k]) for three, k in zip(rows, powers)])
-        return cls(bases, powers, setting.drive, np.array([ORDER[kind] for kind in setting.measured]))
+        values, vectors = np.linalg.eigh(bases)
+        single = np.all(np.abs(values[:, :-1]) < 1e-12 * values[:, -1:])
+        arms = vectors[:, :, -1] * np.sqrt(values[:, -1:]) if single else None
+        return cls(bases, powers, setting.drive, np.array([ORDER[kind] for kind in setting.measured]), arms)
 
     def matrices(self, theta: Float[np.ndarray, " parameters"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """M, D, K."""
@@ -49,28 +54,40 @@ class Family:
     ) -> tuple[Complex[np.ndarray, "*starts points outputs inputs"], Complex[np.ndarray, "..."] | None]:
         """H at some points, and its derivatives by every parameter as a last axis where `slopes`."""
         terms = s[:, None] ** self.powers
-        Z = np.einsum("...p,sp,pij->...sij", theta, terms, self.bases)
+        count, n = self.bases.shape[:2]
+        flat = self.bases.reshape(count, n * n)
+        weighted = theta[..., None, :] * terms
+        Z = (weighted @ flat).reshape(*weighted.shape[:-1], n, n)
         base = not isinstance(self.drive, Force)
         E = np.asarray(self.drive.direction if base else self.drive.input_map, dtype=complex)
-        moved = np.zeros(len(self.powers))
+        moved = np.zeros(count)
         if not base:
             R = np.broadcast_to(E, (*Z.shape[:-2], *E.shape))
         else:
             moved = np.where(self.powers == 2, -1.0, 0.0) if self.drive.relative else (self.powers < 2) * 1.0
-            R = np.einsum("...p,sp,pij,jm->...sim", theta * moved, terms, self.bases, E)
+            R = ((weighted * moved) @ flat).reshape(Z.shape) @ E
         p = len(self.order)
-        X = np.linalg.solve(Z, np.broadcast_to(np.eye(Z.shape[-1]), Z.shape))
-        full = X @ R
+        both = np.concatenate([R, np.broadcast_to(np.eye(n), Z.shape)], axis=-1)
+        both = np.linalg.solve(Z, both)
+        full, seen = both[..., : R.shape[-1]], both[..., :p, R.shape[-1] :]
         power = self.order - (2 if isinstance(self.drive, BaseAcceleration) else 0)
         rate = s[:, None, None] ** power[:, None]
         H = full[..., :p, :] * rate
         if not slopes:
             return H, None
-        inner = -np.einsum("sp,pij,...sjm->...spim", terms, self.bases, full)
-        if base:
-            inner = inner + np.einsum("p,sp,pij,jm->spim", moved, terms, self.bases, E)
-        dH = np.einsum("...soi,...spim->...somp", X[..., :p, :], inner) * rate[..., None]
-        return H, dH
+        # Of the parameter's matrix with what moves it: the motion, less what the base gives it.
+        right = full[..., None, :, :] - (moved[:, None, None] * E if base else 0.0)
+        if self.arms is not None:
+            left = seen @ self.arms.T
+            if base:
+                across = np.einsum("pj,...pjm->...pm", self.arms, right)
+            else:
+                across = self.arms @ full
+            dH = -terms[..., None, None, :] * left[..., :, None, :] * np.swapaxes(across, -1, -2)[..., None, :, :]
+        else:
+            turned = np.matmul(self.bases, right)
+            dH = -np.einsum("...oi,...pim->...omp", seen, turned) * terms[:, None, None, :]
+        return H, dH * rate[..., None]
 
 
 def realized_response(

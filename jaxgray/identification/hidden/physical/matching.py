@@ -70,7 +70,7 @@ def matched(
     **Returns:** a `Matched`.
     """
     free = ~np.isfinite(known)
-    x, cost = np.zeros((0, int(free.sum()))), np.zeros(0)
+    x, cost, before = np.zeros((0, int(free.sum()))), np.zeros(0), np.inf
     for k in range(ROUNDS):
         begun, fixed = _starts(family, target, rates, known, starts, seed + k, first)
         for angle, steps in zip(ANGLES, STEPS):
@@ -81,8 +81,10 @@ def matched(
         x, cost = np.concatenate([x, begun]), np.concatenate([cost, error])
         keep = _distinct(_parameters(x, fixed, free), cost, family)
         x, cost = x[keep], cost[keep]
-        if cost[0] < GOOD:
+        # Noise of the target leaves an error, too: then the same end comes again.
+        if cost[0] < GOOD or (k and cost[0] > 0.99 * before):
             break
+        before = cost[0]
     good = np.isfinite(cost) & (cost <= cost[0] * (1 + EQUAL) + EXACT)
     return Matched(_parameters(x[good], fixed, free), cost[good])
 

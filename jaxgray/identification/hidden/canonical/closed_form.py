@@ -17,8 +17,8 @@ import itertools
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ...numerics.outcomes import RESULTS, ComputationError
-from .canonical import Canonical
+from ....numerics.outcomes import RESULTS, ComputationError
+from .form import Canonical
 
 REAL = 1e-9
 """Imaginary part of a zero, relative to its size, below which it counts as real."""

@@ -8,8 +8,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...numerics.namespace import namespace
-from ..structure import AbstractAssembly, Full, Structure
+from ....numerics.namespace import namespace
+from ...structure import AbstractAssembly, Full, Structure
 
 
 class CanonicalMass(AbstractAssembly):
@@ -98,23 +98,30 @@ REACH = 8.0
 
 
 def canonical_structure(
-    M: Float[np.ndarray, "dofs dofs"], D: Float[np.ndarray, "dofs dofs"], K: Float[np.ndarray, "dofs dofs"], hidden: int
+    M: Float[Array, "dofs dofs"],
+    D: Float[Array, "dofs dofs"],
+    K: Float[Array, "dofs dofs"],
+    hidden: int,
+    *,
+    unit: Float[Array, ""] | None = None,
 ) -> Structure:
     """What is free in the canonical form, in units taken from a start.
 
-    **Arguments:** `M`, `D`, `K`: the start, its hidden masses all alike; `hidden`: how many coordinates are.
+    **Arguments:** `M`, `D`, `K`: the start, its hidden masses all alike; `hidden`: how many coordinates are; `unit`:
+    the hidden masses, default those of the start.
     """
     p = len(M) - hidden
+    xp = namespace(M, D, K)
 
     def shift(X):
-        diagonal = np.sqrt(np.abs(np.diag(X)))
-        return REACH * np.outer(diagonal[:p], diagonal[p:])
+        diagonal = xp.sqrt(xp.abs(xp.diag(X)))
+        return REACH * xp.outer(diagonal[:p], diagonal[p:])
 
     # Damping enters as it is: what a body free to move loses in all is a sum of its entries, and well known.
-    far = np.asarray(REACH * np.max(np.abs(np.diag(D))))
+    far = REACH * xp.max(xp.abs(xp.diag(D)))
     damping = Full() if hidden <= 1 else CanonicalCoupling(hidden, shift(D), far)
     return Structure(
-        CanonicalMass(hidden, np.asarray(M[-1, -1])),
+        CanonicalMass(hidden, M[-1, -1] if unit is None else unit),
         damping,
         CanonicalCoupling(hidden, shift(K)),
     )
