@@ -256,3 +256,65 @@ def test_the_exchange_of_masses_is_declared_and_never_one_answer():
 def test_what_cannot_serve_is_said(options, message):
     with pytest.raises(ValueError, match=message.replace("[", r"\[").replace("]", r"\]").replace("(", r"\(")):
         jaxgray.identify(recorded(100.0), **options)
+
+
+def test_gradients_through_the_traced_canonical_form():
+    import jax
+    import jax.numpy as jnp
+
+    record = recorded(100.0, samples=800)
+    u, y = jnp.asarray(record.u), jnp.asarray(record.y)
+    noise = 1e-3 * jnp.asarray(np.random.default_rng(0).standard_normal(y.shape))
+
+    @jax.jit
+    def entries(x):
+        data = y * (1 + x[1]) + x[2] * noise
+        made = jaxgray.estimate(u, data, H, 0.02 * jnp.exp(x[0]), block_rows=8, hidden=1)
+        return jnp.concatenate([X.ravel() for X in (made.mass, made.damping, made.stiffness)])
+
+    at = jnp.zeros(3)
+    result = found(None, 100.0)
+    wanted = np.concatenate([X.ravel() for X in (result.mass, result.damping, result.stiffness)])
+    np.testing.assert_allclose(entries(at), wanted, rtol=0.2, atol=0.2)
+    J = np.asarray(jax.jit(jax.jacfwd(entries))(at))
+    # Central differences of sixth order, a batch at once.
+    steps = np.array([-3, -2, -1, 1, 2, 3])
+    weights = np.array([-1, 9, -45, 45, -9, 1]) / 60
+    h = 0.004
+    moved = np.asarray(jax.jit(jax.vmap(entries))(jnp.asarray(h * np.kron(np.eye(3), steps[:, None]))))
+    numerical = np.einsum("s,ksv->vk", weights, moved.reshape(3, 6, -1)) / h
+    np.testing.assert_allclose(J, numerical, atol=1e-6 * np.max(np.abs(numerical)), rtol=1e-5)
+
+
+def test_traced_estimates_say_what_cannot_serve():
+    record = recorded(100.0)
+    with pytest.raises(ValueError, match="block_rows=4 are too few for 4 states"):
+        jaxgray.estimate(record.u, record.y, H, 0.02, block_rows=4, hidden=1)
+    drive = jaxgray.BaseAcceleration(np.ones((1, 1)))
+    with pytest.raises(ValueError, match="needs forces on the 1 measured coordinates alone"):
+        jaxgray.estimate(record.u, record.y, H, 0.02, block_rows=8, hidden=1, drive=drive, measured="acceleration")
+
+
+def test_documents_rows_and_page_say_what_entries_are(tmp_path):
+    from jaxgray.report.export import load, write_json
+    from jaxgray.report.identification_rows import element_rows, matrix_rows, mode_rows
+    from jaxgray.report.summary import identification_document
+
+    result = found(STRUCTURE)
+    document = identification_document(result)
+    assert document["model"]["coordinates"] == ["y1", "h1"] and document["model"]["hidden"] == ["h1"]
+    assert document["hidden"]["canonical"] is False and document["hidden"]["rank"] == 6
+    assert [row[0] for row in element_rows(document).body][:2] == ["mass[y1]", "mass[h1]"]
+    assert matrix_rows("mass", document["model"]).head[1:] == ("y1", "(h1)")
+    assert mode_rows(document).head[-1] == "(h1)"
+    path = tmp_path / "model.json"
+    write_json(document, path)
+    assert load(path).hidden == ("h1",)
+    canonical = identification_document(found(None, 100.0))
+    kinds = canonical["model"]["entries"]
+    assert kinds["mass"] == [["physical", "set"], ["set", "set"]]
+    assert kinds["stiffness"][1] == ["canonical", "canonical"]
+    rows = matrix_rows("stiffness", canonical["model"]).body
+    assert rows[1][2].endswith("*") and "Canonical form" in canonical["hidden"]["sentences"][0]
+    jaxgray.write_report(result, tmp_path / "page.html")
+    assert "Coordinates that no output measures" in (tmp_path / "page.html").read_text()
