@@ -141,7 +141,10 @@ class Fitting:
         ),
     ] = None
     fix: Annotated[
-        str | None, _option("--fix", metavar="TEXT", help="Known entries: 'stiffness[0,1]=0,mass[0,0]=5', 'stiffness[y1-h1]=9'.")
+        str | None,
+        _option(
+            "--fix", metavar="TEXT", help="Known entries: 'stiffness[0,1]=0,mass[0,0]=5', or 'stiffness[y1-h1]=9'."
+        ),
     ] = None
     noise: Annotated[
         str,
@@ -154,7 +157,9 @@ class Fitting:
     hidden: Annotated[
         str | None,
         _option(
-            "--hidden", metavar="N|auto|NAMES", help="Coordinates that no output measures: how many, their names, or auto."
+            "--hidden",
+            metavar="N|auto|NAMES",
+            help="Coordinates that no output measures: how many, their names, or auto.",
         ),
     ] = None
     no_refine: Annotated[bool, _option("--no-refine", help="Stop at the starting model.")] = False

@@ -102,8 +102,8 @@ def own_model(path: Path, record: Record, excitation: Excitation):
         )
     if model.hidden:
         raise ValueError(
-            f"{path} has hidden coordinates ({', '.join(model.hidden)}), and a diagnosis judges models of measured ones; "
-            "simulate it, or give a model with one coordinate per output."
+            f"{path} has hidden coordinates ({', '.join(model.hidden)}), and a diagnosis judges models of measured "
+            "ones; simulate it, or give a model with one coordinate per output."
         )
     if model.dofs != record.outputs:
         raise ValueError(f"{path}: the model has {model.dofs} coordinates, --outputs names {record.outputs}.")

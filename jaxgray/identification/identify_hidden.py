@@ -59,6 +59,9 @@ MOST_REALIZATIONS = 4
 MOST_ALTERNATIVES = 4
 """Equally good sets of parameters that are refined."""
 
+ZERO = 1e-9
+"""Share of the largest element of its kind below which one counts as zero."""
+
 AS_LIKELY = 6.0
 """Rise of −2 ln L up to which another set of parameters counts as equally good."""
 
@@ -240,7 +243,8 @@ def _realizations(task: _Task) -> list[tuple[HigherOrder, float, int]]:
         # Several records in the units of the longest.
         _, inputs, outputs = max(parts, key=lambda part: part[0].samples)
         signals = [
-            eqx.tree_at(lambda s: (s.u, s.y), s, (s.u * own_u / inputs, s.y * own_y / outputs)) for s, own_u, own_y in parts
+            eqx.tree_at(lambda s: (s.u, s.y), s, (s.u * own_u / inputs, s.y * own_y / outputs))
+            for s, own_u, own_y in parts
         ]
         try:
             families.append([(in_units(m, inputs, outputs), tau, i) for m, tau, i in found(signals)])
@@ -273,7 +277,9 @@ def _canonical(task: _Task, found, notes: tuple[str, ...]) -> Identification:
     return _assessed(task, model, start, refinement, form, held, notes, evidence)
 
 
-def canonical_fit(task: _Task, found) -> tuple[_Task, Start, Refinement | None, Structure, Bool[np.ndarray, " entries"]]:
+def canonical_fit(
+    task: _Task, found
+) -> tuple[_Task, Start, Refinement | None, Structure, Bool[np.ndarray, " entries"]]:
     """Closed form and refinement; the task with the units of the hidden coordinates that were chosen.
 
     **Raises:** `ComputationError` where no realisation has a canonical form.
@@ -515,6 +521,9 @@ def _assessed(task: _Task, model, start, refinement, form, held, notes, evidence
     extra = ()
     if evidence.rank < evidence.parameters or evidence.alternatives:
         extra = tuple(evidence.sentences())
+    extra += tuple(
+        f"{name} ends at zero, the edge of what is physical; its error bar is one-sided." for name in _at_zero(model, task)
+    )
     result = assess(
         model,
         task.records,
@@ -531,6 +540,21 @@ def _assessed(task: _Task, model, start, refinement, form, held, notes, evidence
         evidence,
     )
     return result if task.records is task.whole else result.judged_on(task.whole)
+
+
+def _at_zero(model: MechanicalModel, task: _Task) -> list[str]:
+    """Dampers and springs of a structure that ended at zero."""
+    if task.request.structure is None:
+        return []
+    connections = Connections(task.request.structure, model.coordinates)
+    rows, columns = triangle(model.dofs)
+    entries = np.concatenate([np.asarray(X)[rows, columns] for X in (model.mass, model.damping, model.stiffness)])
+    values = np.linalg.pinv(_entries_by_elements(connections)) @ entries
+    found = []
+    for owner in ("damping", "stiffness"):
+        own = [k for k, name in enumerate(connections.elements) if name.startswith(owner)]
+        found += [connections.elements[k] for k in own if values[k] <= ZERO * np.max(values[own])]
+    return found
 
 
 def _entries_by_elements(connections: Connections) -> Float[np.ndarray, "entries parameters"]:

@@ -139,7 +139,7 @@ class Identification(Shown):
         return result
 
     def __repr__(self) -> str:
-        unseen = "" if self.hidden is None else f" ({', '.join(self.model.hidden)} measured by no output)"
+        unseen = f" ({', '.join(self.model.hidden)} measured by no output)" if self.model.hidden else ""
         lines = [f"Identification: {self.model.dofs} coordinates{unseen}, {self.start.method} start"]
         errors = self.standard_errors
         for name in ("mass", "damping", "stiffness"):

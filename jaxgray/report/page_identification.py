@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..identification import Identification
+from ..numerics.text import plus_minus
 from .identification_rows import (
     MATRICES,
     coordinate_titles,
@@ -135,10 +136,13 @@ def _noise(document: dict):
 
 def _zeros(document: dict):
     """Antiresonances of every pair, as far as there are any."""
-    body = tuple(
-        (pair.replace("->", " to "), ", ".join(f"{value:.5g}" for value in values) or "none")
-        for pair, values in document["zeros_hz"].items()
-    )
+    known = (document.get("hidden") or {}).get("zeros_standard_errors_hz") or {}
+
+    def shown(pair, values):
+        errors = known.get(pair) or [None] * len(values)
+        return ", ".join(f"{v:.5g}" if e is None else plus_minus(v, e) for v, e in zip(values, errors)) or "none"
+
+    body = tuple((pair.replace("->", " to "), shown(pair, values)) for pair, values in document["zeros_hz"].items())
     yield Table(Rows(("input to output", "antiresonances [Hz]"), body, frozenset({0, 1})), "Antiresonances")
 
 

@@ -9,6 +9,7 @@ from ..identification.sweeping import Sweep
 from ..identification.validation import Fit
 from ..mechanics.modal_uncertainty import modal_uncertainty
 from ..mechanics.model import MechanicalModel
+from ..numerics.linear_algebra import triangle
 from ..records import Record
 from .export import model_document
 from .units import matrix_units
@@ -16,6 +17,9 @@ from .units import matrix_units
 IDENTIFICATION = "jaxgray/identification/1"
 SWEEP = "jaxgray/sweep/1"
 SIMULATION = "jaxgray/simulation/1"
+
+LARGEST_CONDITION = 1e12
+"""Condition number of the hidden coordinates' stiffness up to which they are held by springs."""
 
 
 def identification_document(result: Identification, warnings: tuple[str, ...] = ()) -> dict:
@@ -107,8 +111,38 @@ def hidden_document(result: Identification) -> dict | None:
             "steps": [dataclasses.asdict(step) for step in order.steps],
             "singular_values": order.singular_values,
         },
+        "static_stiffness": static_stiffness(result),
+        "zeros_standard_errors_hz": zero_errors(result),
         "sentences": known.sentences(),
     }
+
+
+def static_stiffness(result: Identification) -> dict | None:
+    """Static stiffness K11 − K12 K22⁻¹ K21 of the measured coordinates, the hidden ones free to follow, with standard
+    errors by the delta method; None where hidden ones alone are free to move."""
+    model, p = result.model, result.model.outputs
+    K = np.asarray(model.stiffness)
+    if p == len(K) or not np.linalg.cond(K[p:, p:]) < LARGEST_CONDITION:
+        return None
+    # K11 − K12 K22⁻¹ K21 = Tᵀ K T with T = [I; −K22⁻¹ K21], of which the derivative is Tᵀ dK T.
+    T = np.concatenate([np.eye(p), -np.linalg.solve(K[p:, p:], K[p:, :p])])
+    errors = None
+    if result.covariance is not None:
+        rows, columns = triangle(len(K))
+        count = len(rows)
+        slopes = np.einsum("ki,kj->kij", T[rows], T[columns])
+        slopes = np.where((rows == columns)[:, None, None], slopes, slopes + np.swapaxes(slopes, 1, 2))
+        own = result.covariance[2 * count :, 2 * count :]
+        errors = np.sqrt(np.maximum(np.einsum("kij,kl,lij->ij", slopes, own, slopes), 0.0)).tolist()
+    return {"value": (T.T @ K @ T).tolist(), "standard_error": errors}
+
+
+def zero_errors(result: Identification) -> dict[str, list[float]] | None:
+    """Standard errors of the antiresonances, in the order of `antiresonances`; None without refinement."""
+    if result.covariance is None:
+        return None
+    found = modal_uncertainty(result.model, result.covariance).antiresonance_hz
+    return {f"{source}->{place}": errors.tolist() for (source, place), errors in found.items()}
 
 
 def modes_document(result: Identification) -> list[dict]:

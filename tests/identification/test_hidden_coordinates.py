@@ -318,3 +318,24 @@ def test_documents_rows_and_page_say_what_entries_are(tmp_path):
     assert rows[1][2].endswith("*") and "Canonical form" in canonical["hidden"]["sentences"][0]
     jaxgray.write_report(result, tmp_path / "page.html")
     assert "Coordinates that no output measures" in (tmp_path / "page.html").read_text()
+
+
+def test_auto_finds_the_number_and_shows_why():
+    result = jaxgray.identify(recorded(100.0, samples=2000), hidden="auto")
+    assert result.model.hidden == ("h1",)
+    steps = result.hidden.order.steps
+    assert [step.hidden for step in steps][:2] == [0, 1] and steps[1].accepted and steps[1].delta_bic < -10
+    assert steps[1].gain_percent > 2.6 * steps[1].gain_error
+    assert all(not step.accepted for step in steps[2:])
+    assert "Hidden coordinates weighed: 1: ΔBIC" in repr(result)
+
+
+def test_several_records_with_gaps_give_one_model():
+    records = [recorded(100.0, seed=seed) for seed in (0, 1)]
+    y = np.array(records[1].y)
+    y[400:420] = np.nan
+    records[1] = jaxgray.Record(records[1].u, y, H)
+    result = jaxgray.identify(records, hidden=1, time_constants=[0.02, 0.05])
+    assert abs(result.mass[0, 0] - 2.0) < 4 * result.standard_errors["mass"][0, 0]
+    single = found(None, 100.0).standard_errors["mass"][0, 0]
+    assert result.standard_errors["mass"][0, 0] < 0.9 * single

@@ -81,10 +81,10 @@ class HiddenEvidence:
         lines = []
         if self.canonical and self.names:
             lines.append(
-                f"Canonical form: {', '.join(self.names)} are unit masses of their own; entries marked * belong to this "
-                "representative, their diagonal being the modes with the measured coordinates held still. Entries "
-                "between measured coordinates are physical where hidden masses are coupled by springs and dampers "
-                "alone; a structure makes all of them so."
+                f"Canonical form: {_listed(self.names)} of its own; entries marked * belong to this representative, "
+                "their diagonal being the modes with the measured coordinates held still. Entries between measured "
+                "coordinates are physical where hidden masses are coupled by springs and dampers alone; named "
+                "connections (structure) make all of them so."
             )
         if not self.canonical and self.rank < self.parameters:
             what = f"only {', '.join(self.combinations)}" if self.combinations else "no combination of the others"
@@ -96,11 +96,16 @@ class HiddenEvidence:
         if self.alternatives:
             lines.append(
                 f"{len(self.alternatives) + 1} sets of this structure's parameters give the same inputs and outputs; "
-                "the one shown is no better than the others. Measure one more coordinate, or fix an entry that you know."
+                "the one shown is no better than the others. Measure one more coordinate, or fix an entry that you "
+                "know."
             )
         if self.order is not None:
             lines.append(order_sentence(self.order))
         return lines
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return f"{names[0]} is a unit mass" if len(names) == 1 else f"each of {', '.join(names)} is a unit mass"
 
 
 def order_sentence(order: OrderEvidence) -> str:
@@ -110,7 +115,9 @@ def order_sentence(order: OrderEvidence) -> str:
         if step.failure is not None:
             parts.append(f"{step.hidden}: no model ({step.failure})")
         else:
-            gain = "" if step.gain_percent is None else f", held-out error {-step.gain_percent:+.2g} ± {step.gain_error:.1g} %"
+            gain = ""
+            if step.gain_percent is not None:
+                gain = f", held-out error {-step.gain_percent:+.2g} ± {step.gain_error:.1g} %"
             verdict = "accepted" if step.accepted else "not accepted"
             parts.append(f"{step.hidden}: ΔBIC {step.delta_bic:+.3g}{gain}, {verdict}")
     return "Hidden coordinates weighed: " + "; ".join(parts) + "."

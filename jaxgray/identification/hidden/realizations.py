@@ -74,7 +74,10 @@ def realized_order(
 
 
 def input_basis(
-    A: Float[Array, "states states"], Cy: Float[Array, "outputs states"], measured: tuple[str, ...], drive: AbstractDrive
+    A: Float[Array, "states states"],
+    Cy: Float[Array, "outputs states"],
+    measured: tuple[str, ...],
+    drive: AbstractDrive,
 ) -> tuple[Array, Array, Array, Array]:
     """Directions (b, d) in which a column of B and D may lie, and the rows of displacement and of what is measured.
 

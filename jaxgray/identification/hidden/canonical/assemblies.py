@@ -1,7 +1,7 @@
 """The canonical form as what is free in M, D and K: every entry that it does not set, and nothing else.
 
-K11 = S + Σ a_j a_jᵀ/ω_j² with the static stiffness S ⪰ 0 of the measured coordinates, so that K ⪰ 0 is a cone of S alone
-and a body free to move lies on a flat edge of it.
+K11 = S + Σ a_j a_jᵀ/ω_j² with the static stiffness S ⪰ 0 of the measured coordinates, so that K ⪰ 0 is a cone of S
+alone and a body free to move lies on a flat edge of it.
 """
 
 import equinox as eqx

@@ -25,7 +25,9 @@ REAL = 1e-9
 
 
 def inverse_system(
-    A: Float[np.ndarray, "states states"], B: Float[np.ndarray, "states outputs"], C: Float[np.ndarray, "outputs states"]
+    A: Float[np.ndarray, "states states"],
+    B: Float[np.ndarray, "states outputs"],
+    C: Float[np.ndarray, "outputs states"],
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:
     """M11, R1, R2, R, F, G1, G2 of the system turned round (see above), and V.
 
@@ -55,7 +57,9 @@ def inverse_system(
 
 
 def closed_form(
-    A: Float[np.ndarray, "states states"], B: Float[np.ndarray, "states outputs"], C: Float[np.ndarray, "outputs states"]
+    A: Float[np.ndarray, "states states"],
+    B: Float[np.ndarray, "states outputs"],
+    C: Float[np.ndarray, "outputs states"],
 ) -> Canonical:
     """The canonical form of a system with 2(p + n) states, p forces and the p displacements at which they act.
 

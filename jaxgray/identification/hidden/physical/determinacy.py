@@ -145,10 +145,10 @@ def _sums(space, alone, names) -> list[str]:
         if np.sum(np.abs(row) > SIMPLE) < 2:
             continue
         terms = [(v, name) for v, name in zip(row, names) if abs(v) > SIMPLE]
-        text = " ".join(
-            f"{'-' if v < 0 else '+' if k else ''}{' ' if k else ''}{'' if abs(abs(v) - 1) < 1e-3 else f'{abs(v):.3g} '}{name}"
-            for k, (v, name) in enumerate(terms)
-        )
+        text = ""
+        for v, name in terms:
+            sign = (" - " if v < 0 else " + ") if text else ("-" if v < 0 else "")
+            text += sign + ("" if abs(abs(v) - 1) < 1e-3 else f"{abs(v):.3g} ") + name
         found.append(text)
     return found
 

@@ -141,7 +141,9 @@ def _starts(family: Family, target, rates, known, starts, seed, first):
     return np.log(theta[:, free]), fixed
 
 
-def _descend(family: Family, s, wanted: Complex[np.ndarray, "..."], x, fixed, free: Bool[np.ndarray, "..."], steps: int):
+def _descend(
+    family: Family, s, wanted: Complex[np.ndarray, "..."], x, fixed, free: Bool[np.ndarray, " parameters"], steps: int
+):
     """Levenberg-Marquardt in the logarithms of the free parameters, all starts side by side."""
     size = np.abs(wanted)
     level = np.sqrt(np.mean(size**2, axis=0, keepdims=True))
