@@ -12,7 +12,7 @@ import pytest
 import jaxgray
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-FLOORS = [ROOT / "jaxgray" / name for name in ("diagnosis",)]
+FLOORS = [ROOT / "jaxgray" / name for name in ("diagnosis", "identification/hidden")]
 """Floors whose folders hold ten modules at most."""
 
 

@@ -134,10 +134,17 @@ class Fitting:
 
     structure: Annotated[
         str | None,
-        _option("--structure", metavar="diagonal-mass,chain,modal-damping", help="Any of these, with commas."),
+        _option(
+            "--structure",
+            metavar="diagonal-mass,chain,modal-damping|Y1-H1,H1-GROUND",
+            help="Any of these, with commas; or connections of named coordinates (:spring, :damper for one alone).",
+        ),
     ] = None
     fix: Annotated[
-        str | None, _option("--fix", metavar="TEXT", help="Known entries: 'stiffness[0,1]=0,mass[0,0]=5'.")
+        str | None,
+        _option(
+            "--fix", metavar="TEXT", help="Known entries: 'stiffness[0,1]=0,mass[0,0]=5', or 'stiffness[y1-h1]=9'."
+        ),
     ] = None
     noise: Annotated[
         str,
@@ -147,6 +154,14 @@ class Fitting:
             help="Where noise enters: at the outputs, or at the forces too.",
         ),
     ] = "output-error"
+    hidden: Annotated[
+        str | None,
+        _option(
+            "--hidden",
+            metavar="N|auto|NAMES",
+            help="Coordinates that no output measures: how many, their names, or auto.",
+        ),
+    ] = None
     no_refine: Annotated[bool, _option("--no-refine", help="Stop at the starting model.")] = False
 
 
@@ -293,3 +308,13 @@ def numbers(option: str, text: str | None, kind=float) -> list | None:
     except ValueError:
         what = "whole numbers" if kind is int else "numbers"
         raise ValueError(f"{option}={text!r} is not understood; give {what} with commas between.") from None
+
+
+def hidden_of(text: str | None):
+    """What `--hidden` says: a number, "auto", or names."""
+    if text is None:
+        return 0
+    text = text.strip()
+    if text == "auto":
+        return text
+    return int(text) if text.isdigit() else [name.strip() for name in text.split(",") if name.strip()]

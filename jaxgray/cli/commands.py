@@ -16,6 +16,7 @@ from .arguments import (
     Simulating,
     Spacing,
     Talk,
+    hidden_of,
     takes_groups,
     words,
 )
@@ -82,6 +83,7 @@ def identify(
             structure=words(fitting.structure),
             fix=fitting.fix,
             noise=fitting.noise,
+            hidden=hidden_of(fitting.hidden),
             progress=progress,
             **options,
         )
@@ -151,9 +153,9 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
             hold=simulating.hold or files.record_of(simulating.model).get("hold", "zero"),
         )
         record = files.read(file.file, file, _Wanted(wanted, model.measured), notes)
-        if (record.inputs, record.outputs) != (model.inputs, model.dofs):
+        if (record.inputs, record.outputs) != (model.inputs, model.outputs):
             raise ValueError(
-                f"the model has {model.inputs} inputs and {model.dofs} outputs, --inputs and --outputs name "
+                f"the model has {model.inputs} inputs and {model.outputs} outputs, --inputs and --outputs name "
                 f"{record.inputs} and {record.outputs}; name as many."
             )
         progress.stage("simulating")

@@ -111,6 +111,8 @@ def _check(fitting: Fitting, diagnosing: Diagnosing) -> None:
     """Raise `ValueError` for options that do not go together, or numbers that are none."""
     if fitting.no_refine:
         raise ValueError("--no-refine: a diagnosis needs the refined model; leave the option out.")
+    if fitting.hidden is not None:
+        raise ValueError("--hidden: a diagnosis takes one coordinate per output; leave the option out, or identify.")
     if diagnosing.model is not None and (fitting.structure, fitting.fix) != (None, None):
         raise ValueError("--structure and --fix are about a model that is fitted; leave them out with --model.")
     if diagnosing.max_effects < 0:

@@ -100,6 +100,11 @@ def own_model(path: Path, record: Record, excitation: Excitation):
             f"{path} has effects ({effect_names(model)}), and a diagnosis begins with a linear model; write its "
             f"linear part with `jaxgray export {path} linear.json --linear` and judge that."
         )
+    if model.hidden:
+        raise ValueError(
+            f"{path} has hidden coordinates ({', '.join(model.hidden)}), and a diagnosis judges models of measured "
+            "ones; simulate it, or give a model with one coordinate per output."
+        )
     if model.dofs != record.outputs:
         raise ValueError(f"{path}: the model has {model.dofs} coordinates, --outputs names {record.outputs}.")
     if given["input_map"] or given["base"]:

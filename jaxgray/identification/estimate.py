@@ -19,10 +19,12 @@ from ..numerics.runtime import ready
 from ..numerics.stored_programs import stored
 from .compression import factor_of_gram, factor_of_rows
 from .filter_bank import cascade, pole
+from .hidden import canonical_structure, fitted_input, input_basis, realized_order, traced_canonical
 from .input_matrix import fit_to_factor, fit_to_record, unit_drives
 from .options import pick
 from .physical import Scaling, from_inverse_mass, input_matrix, jointly
 from .prediction import Batch, Setting
+from .preparation import Signals
 from .projection import WEIGHTS, AbstractWeight, arrange, project
 from .realization import MAPS, AbstractMap, realize
 from .refine_traced import gauss_newton
@@ -51,6 +53,7 @@ class Options(eqx.Module):
     reaches_all: bool = eqx.field(static=True)
     exact_data: bool = eqx.field(static=True)
     refinement_steps: int = eqx.field(static=True)
+    hidden: int = eqx.field(static=True, default=0)
 
 
 def estimate(
@@ -70,6 +73,7 @@ def estimate(
     hold: str = "zero",
     exact_data: bool = False,
     refinement_steps: int = 0,
+    hidden: int = 0,
 ) -> Estimate:
     """Mass, damping and stiffness of M q̈ + D q̇ + K q = E u as a pure function of arrays.
 
@@ -97,6 +101,9 @@ def estimate(
         Householder QR. Default False.
     - `refinement_steps`: how many Gauss-Newton steps on the free run follow, over the same cones; default 0. Two
         or three reach the maximum likelihood of white output noise.
+    - `hidden`: how many coordinates no output measures, default 0. The matrices are then those of the canonical form
+        (every hidden coordinate a unit mass of its own), for forces on every measured coordinate, oscillating hidden
+        modes and more block rows than 2 (outputs + hidden)/outputs.
 
     **Returns:** an `Estimate`.
 
@@ -128,7 +135,10 @@ def estimate(
         drive = Force(jnp.eye(outputs, inputs) if input_map is None else jnp.asarray(input_map))
     elif input_map is not None:
         raise ValueError("input_map and drive are both given; give the input map to the drive.")
-    drive.check(outputs, measured)
+    hidden = int(hidden)
+    if hidden:
+        drive = with_hidden(drive, outputs, hidden, int(block_rows))
+    drive.check(outputs + hidden, measured)
     if drive.inputs != inputs:
         raise ValueError(f"u has {inputs} channels, the input map {drive.inputs}; give one column per input.")
     weights = jnp.ones(len(u)) if sample_weights is None else jnp.asarray(sample_weights)
@@ -143,10 +153,13 @@ def estimate(
         int(block_rows),
         pick("map", map, MAPS),
         input_matrix_from,
-        isinstance(drive, Force) and _full_rank(drive.input_map),
+        isinstance(drive, Force) and _full_rank(drive.input_map[:outputs]),
         bool(exact_data),
         int(refinement_steps),
+        hidden,
     )
+    if hidden and not options.reaches_all:
+        raise ValueError(f"hidden={hidden} needs a force on every measured coordinate; give more inputs, or identify.")
     return _estimate(u, y, weights, jnp.asarray(sampling_time), jnp.asarray(time_constant), weight, drive, options)
 
 
@@ -158,6 +171,8 @@ def _estimate(u, y, weights, sampling_time, time_constant, weight, drive, option
     a = pole(time_constant, sampling_time)
     signals = jnp.concatenate([u, y], axis=1)
     factor = weighted_factor(a, signals, weights, u.shape[1], options.block_rows, householder=options.exact_data)
+    if options.hidden:
+        return canonical_estimate(factor, a, scaling, weight, drive, options, (u, y, weights))
     pass_again = (u, y, weights) if options.input_matrix_from == "record" else None
     found = from_factor(factor, a, scaling, weight, drive, options, pass_again)
     if not options.refinement_steps:
@@ -245,6 +260,72 @@ def from_factor(
         share = outputs / jnp.trace(M)
         M, D, K = M * share, D * share, K * share
     return Estimate(M, D, K, projections.singular_values)
+
+
+def with_hidden(drive: AbstractDrive, outputs: int, hidden: int, block_rows: int) -> AbstractDrive:
+    """The drive with no force on hidden coordinates.
+
+    **Raises:** `ValueError` where the number, the drive or the block rows cannot serve.
+    """
+    if hidden < 0:
+        raise ValueError(f"hidden={hidden} is not understood; give how many coordinates no output measures.")
+    if not isinstance(drive, Force) or drive.input_map.shape[0] != outputs:
+        raise ValueError(f"hidden={hidden} needs forces on the {outputs} measured coordinates alone; identify others.")
+    if (block_rows - 1) * outputs < 2 * (outputs + hidden):
+        raise ValueError(
+            f"block_rows={block_rows} are too few for {2 * (outputs + hidden)} states; give at least "
+            f"{-(-2 * (outputs + hidden) // outputs) + 1}."
+        )
+    return Force(jnp.concatenate([drive.input_map, jnp.zeros((hidden, drive.inputs))]))
+
+
+def canonical_estimate(
+    factor: Float[Array, "columns columns"],
+    a: Float[Array, ""],
+    scaling: Scaling,
+    weight: AbstractWeight,
+    drive: AbstractDrive,
+    options: Options,
+    record: tuple[Array, Array, Array],
+) -> Estimate:
+    """The canonical form from the compressed factor and the record, in traced code.
+
+    **Arguments:** as of `from_factor`; `record`: scaled u and y, and the weights of their samples.
+
+    **Returns:** an `Estimate`.
+    """
+    u, y, weights = record
+    n, p = options.hidden, len(options.measured)
+    A, Cy, values = realized_order(
+        factor,
+        a,
+        options.block_rows,
+        inputs=drive.inputs,
+        padded=options.block_rows,
+        weight=weight,
+        order=2 * (p + n),
+        map=options.map,
+        householder=options.exact_data,
+    )
+    basis = input_basis(A, Cy, options.measured, drive)
+    signals = Signals(u, y, jnp.broadcast_to(weights[:, None], y.shape), len(u))
+    B, _ = fitted_input(A, basis, signals, None, options.hold)
+    E = scaling.coordinates[:, None] * drive.input_map[:p] * scaling.inputs
+    M, D, K = traced_canonical(A, B @ jnp.linalg.pinv(E), basis[2], n).matrices
+    # A unit mass counted as the measured ones are.
+    size = jnp.sqrt(jnp.trace(M[:p, :p]) / p)
+    units = jnp.concatenate([jnp.ones(p), jnp.ones(n) * size])
+    M, D, K = (X * units[:, None] * units[None, :] for X in (M, D, K))
+    own = jnp.concatenate([scaling.coordinates, jnp.ones(n) * size * scaling.sampling_time])
+    scaling = eqx.tree_at(lambda s: s.coordinates, scaling, own)
+    # What the form is counted from is no part of it.
+    form = canonical_structure(*(jax.lax.stop_gradient(X) for X in (M, D, K)), n, unit=M[-1, -1])
+    found = form.matrices(form.blocks(M, D, K, lift=0.0), p + n)
+    if options.refinement_steps:
+        setting = Setting(scaled_drive(drive, scaling), options.measured, options.hold, n)
+        batch = Batch(u[None], y[None], signals.kept[None])
+        found = gauss_newton(found, batch, setting, options.refinement_steps, form)
+    return Estimate(*scaling.matrices_out(*found), values)
 
 
 class RowWeights(AbstractWeight):

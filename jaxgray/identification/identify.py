@@ -13,6 +13,8 @@ from ..numerics.runtime import rarely_collecting, ready, relieve
 from ..records import Record, check_compatible, preflight
 from .base_start import MassKnowledge
 from .guard import lost
+from .hidden_order import identify_auto
+from .identify_hidden import HiddenRequest, identify_hidden, wants_hidden
 from .options import drive_of, fixed_entries, parse_fix, pick, with_known
 from .prediction import Batch, Setting
 from .preparation import Signals, prepare, scaling_of
@@ -56,6 +58,7 @@ def identify(
     structure=None,
     fix=None,
     noise: str = "output-error",
+    hidden=0,
     progress: AbstractProgress | None = None,
 ) -> Identification:
     """Mass, damping and stiffness of M q̈ + D q̇ + K q = E u from measured records.
@@ -78,9 +81,14 @@ def identify(
     - `input_map`: where inputs act: text "u1:y1,u2:y1-y2", a matrix outputs × inputs, or None (input j on the
         coordinate of output j).
     - `relative`: whether outputs are measured relative to a moving base; default False.
-    - `structure`: any of "diagonal-mass", "chain", "modal-damping"; default none.
-    - `fix`: known entries, "stiffness[0,1]=0,…" or a mapping; in the record's units; default none.
+    - `structure`: any of "diagonal-mass", "chain", "modal-damping", or connections of named coordinates, "y1-h1,
+        h1-h2, h2-ground", each a spring and a damper (":spring" or ":damper" for one alone) between masses of their
+        own; default none.
+    - `fix`: known entries, "stiffness[0,1]=0,…" or a mapping; in the record's units; default none. With connections
+        their names: "mass[h1]=2, stiffness[y1-h1]=100".
     - `noise`: "output-error" (default) or "innovations", when noise enters at the forces too.
+    - `hidden`: how many coordinates no output measures, or their names (default 0; h1, h2, …), or "auto". Without
+        connections the canonical form is found, in which each is a unit mass of its own.
     - `progress`: told of every stage; silent by default.
 
     **Returns:** an `Identification`.
@@ -103,6 +111,24 @@ def identify(
     if input_matrix_from not in ("best", "record", "factor"):
         raise ValueError(f"input_matrix_from={input_matrix_from!r} is not known; choose 'best', 'record' or 'factor'.")
     weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
+    if wants_hidden(hidden, structure, records[0].output_names):
+        request = HiddenRequest(
+            structure=structure,
+            fix=fix,
+            noise=noise,
+            excitation=excitation,
+            input_map=input_map,
+            relative=relative,
+            time_constants=time_constants,
+            block_rows=block_rows,
+            weight=weight,
+            map=map,
+            refine=refine,
+        )
+        if hidden == "auto":
+            own = {"input_matrix_from": input_matrix_from, "progress": progress}
+            return identify_auto(records, held_out, request, notes, partial(identify, **own), progress)
+        return identify_hidden(records, held_out, request.named(hidden, records[0].output_names), notes, progress)
     drive = drive_of(records[0], excitation, input_map, relative)
     form = structure_of(structure)
     entries = parse_fix(fix)

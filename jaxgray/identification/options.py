@@ -27,17 +27,18 @@ def pick(kind: str, name, table: dict):
     return table[name]
 
 
-def parse_input_map(text: str, record: Record) -> np.ndarray:
+def parse_input_map(text: str, record: Record, hidden: tuple[str, ...] = ()) -> np.ndarray:
     """E from text such as "u1:y1,u2:y1-y2".
 
     **Arguments:** `text`: for every input the coordinate it acts on; `y1-y2` means +u on y1 and −u on y2;
-    `record`: whose names are meant.
+    `record`: whose names are meant; `hidden`: names of coordinates that no output measures, default none.
 
-    **Returns:** outputs × inputs matrix.
+    **Returns:** coordinates × inputs matrix.
 
     **Raises:** `ValueError` for an unknown name or an input without a place.
     """
-    E = np.zeros((record.outputs, record.inputs))
+    places_known = record.output_names + hidden
+    E = np.zeros((len(places_known), record.inputs))
     for item in filter(None, (part.strip() for part in text.split(","))):
         name, _, places = item.partition(":")
         if name.strip() not in record.input_names or not places:
@@ -47,15 +48,15 @@ def parse_input_map(text: str, record: Record) -> np.ndarray:
         column = record.input_names.index(name.strip())
         rest = places.strip()
         sign = 1.0
-        if rest in record.output_names:
-            E[record.output_names.index(rest), column] += 1.0
+        if rest in places_known:
+            E[places_known.index(rest), column] += 1.0
             continue
         for name in rest.split("-"):
-            if name.strip() not in record.output_names:
+            if name.strip() not in places_known:
                 raise ValueError(
-                    f"input_map={text!r}: no coordinate {name.strip()!r}; there are {', '.join(record.output_names)}."
+                    f"input_map={text!r}: no coordinate {name.strip()!r}; there are {', '.join(places_known)}."
                 )
-            E[record.output_names.index(name.strip()), column] += sign
+            E[places_known.index(name.strip()), column] += sign
             sign = -1.0
     if not np.all(np.any(E != 0, axis=0)):
         missing = [name for name, column in zip(record.input_names, E.T) if not np.any(column)]
@@ -72,30 +73,34 @@ def drive_by(record: Record, options: dict) -> AbstractDrive:
     return drive_of(record, **({"excitation": "force", "input_map": None, "relative": False} | given))
 
 
-def drive_of(record: Record, excitation, input_map, relative: bool) -> AbstractDrive:
+def drive_of(record: Record, excitation, input_map, relative: bool, hidden: tuple[str, ...] = ()) -> AbstractDrive:
     """The drive that excitation and input map describe.
 
     **Arguments:** `record`; `excitation`: "force", "base" (kind by the input's unit), "base-displacement",
     "base-acceleration"; `input_map`: matrix outputs × inputs, text, or None (input j acts on the coordinate of
-    output j; a base moves all coordinates alike); `relative`: outputs measured relative to the base.
+    output j; a base moves all coordinates alike); `relative`: outputs measured relative to the base; `hidden`: names
+    of coordinates that no output measures, default none: rows of the matrix for them come last, or are zeros.
 
     **Raises:** `ValueError` when they do not fit together.
     """
     if excitation not in EXCITATIONS:
         raise ValueError(f"excitation={excitation!r} is not known; choose from {', '.join(EXCITATIONS)}.")
+    dofs = record.outputs + len(hidden)
     if isinstance(input_map, str):
-        matrix = parse_input_map(input_map, record)
+        matrix = parse_input_map(input_map, record, hidden)
     elif input_map is not None:
         matrix = np.atleast_2d(np.array(input_map, dtype=float))
+        if matrix.shape == (record.outputs, record.inputs) and excitation == "force":
+            matrix = np.pad(matrix, ((0, len(hidden)), (0, 0)))
     elif excitation == "force":
         if record.inputs > record.outputs:
             raise ValueError(f"{record.inputs} inputs act on {record.outputs} coordinates; say where with input_map.")
-        matrix = np.eye(record.outputs, record.inputs)
+        matrix = np.eye(dofs, record.inputs)
     else:
-        matrix = np.ones((record.outputs, record.inputs))
-    if matrix.shape != (record.outputs, record.inputs) or not np.all(np.isfinite(matrix)):
+        matrix = np.ones((dofs, record.inputs))
+    if matrix.shape != (dofs, record.inputs) or not np.all(np.isfinite(matrix)):
         raise ValueError(
-            f"input_map has shape {matrix.shape}; give a finite matrix of {record.outputs} coordinates × "
+            f"input_map has shape {matrix.shape}; give a finite matrix of {dofs} coordinates × "
             f"{record.inputs} inputs."
         )
     if excitation == "force":
@@ -106,7 +111,7 @@ def drive_of(record: Record, excitation, input_map, relative: bool) -> AbstractD
         )
         kind = BaseAcceleration if accelerated else BaseDisplacement
         drive = kind(jax.device_put(matrix), relative)
-    drive.check(record.outputs, record.measured)
+    drive.check(dofs, record.measured)
     return drive
 
 

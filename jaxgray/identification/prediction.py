@@ -61,16 +61,18 @@ def has_gaps(kept: Float[np.ndarray, "samples outputs"]) -> bool:
 
 
 class Setting(eqx.Module):
-    """What stays fixed while parameters move: drive, measured quantities and hold, all scaled."""
+    """What stays fixed while parameters move: drive, measured quantities and hold, all scaled; `hidden`: how many
+    coordinates no output measures, the last ones."""
 
     drive: AbstractDrive
     measured: tuple[str, ...] = eqx.field(static=True)
     hold: str = eqx.field(static=True)
+    hidden: int = eqx.field(static=True, default=0)
 
     @property
     def dofs(self) -> int:
         """Number of coordinates."""
-        return len(self.measured)
+        return len(self.measured) + self.hidden
 
     def system(self, M: Array, D: Array, K: Array) -> StateSpace:
         """Sampled system, time in samples."""

@@ -42,24 +42,29 @@ class _Point(eqx.Module):
 
 
 def gauss_newton(
-    matrices: tuple[Array, Array, Array], batch: Batch, setting: Setting, steps: int
+    matrices: tuple[Array, Array, Array],
+    batch: Batch,
+    setting: Setting,
+    steps: int,
+    structure: Structure | None = None,
 ) -> tuple[Array, Array, Array]:
     """M, D, K after `steps` Gauss-Newton steps on the free run, M ≻ 0, D ⪰ 0, K ⪰ 0, first states and offsets free.
 
     **Arguments:** `matrices`: scaled M, D, K to start from; `batch`; `setting`; `steps`: how many. The weights of the
-    outputs are renewed before every step.
+    outputs are renewed before every step. `structure`: what is free, default all entries.
 
     **Returns:** scaled M, D, K, never less likely than the start with its best first states and offsets.
     Differentiable by the start and the data.
 
     **Reference:** Ljung, *System Identification*, §10.2.
     """
-    criterion = Criterion(batch, setting, Structure())
+    criterion = Criterion(batch, setting, Structure() if structure is None else structure)
     sizes = criterion.sizes
+    blocks = list(matrices) if structure is None else structure.blocks(*matrices, lift=0.0)
     entries = sum(n * (n + 1) // 2 for n in sizes)
-    unit = jnp.concatenate([jnp.full(n * (n + 1) // 2, jnp.trace(X) / n) for n, X in zip(sizes, matrices)])
+    unit = jnp.concatenate([jnp.full(n * (n + 1) // 2, jnp.trace(X) / n) for n, X in zip(sizes, blocks)])
     unit = jnp.where(unit > 0, unit, 1.0)
-    floors = jnp.array([MASS_FLOOR, 0.0, 0.0])
+    floors = jnp.array([MASS_FLOOR, 0.0, 0.0] if structure is None else criterion.structure.floors(setting.dofs))
     solver = ProjectedGradientSolver()
     identity = jnp.eye(batch.y.shape[2])
     quiet = begin_nuisance(batch, setting, offset=True, innovations=False)
@@ -96,12 +101,13 @@ def gauss_newton(
         offset = nuisance.offset + dn[states:].reshape(quiet.offset.shape)
         return (_Place(z + dz, Nuisance(x0, offset, None)), best, damping), None
 
-    start = _Place(join(list(matrices)), jax.tree_util.tree_map(jnp.asarray, quiet))
+    start = _Place(join(blocks), jax.tree_util.tree_map(jnp.asarray, quiet))
     size = entries + quiet.x0.size + quiet.offset.size
     unknown = _Point(start, jnp.zeros(size), jnp.zeros((size, size)), jnp.asarray(jnp.inf))
     (last, best, _), _ = jax.lax.scan(step, (start, unknown, jnp.asarray(0.0)), jnp.arange(steps + 1))
     better = evaluated(last, False).cost <= best.cost + ROUNDING
-    return tuple(part(jnp.where(better, last.entries, best.place.entries), sizes))
+    found = part(jnp.where(better, last.entries, best.place.entries), sizes)
+    return tuple(found) if structure is None else criterion.matrices(found)
 
 
 def _ridged(H: Array) -> Array:

@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float
 from ..mechanics.model import MechanicalModel
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS
-from ..numerics.text import plus_minus
+from ..numerics.text import entry_text
 from ..records import Record
+from .hidden.evidence import HiddenEvidence
 from .normal import Criterion, Iterate, sensitivities, without_noise
 from .physical import Scaling
 from .prediction import Batch, Setting
@@ -46,7 +47,8 @@ class Identification(Shown):
     `start` and `refinement`: where it came from; `estimation`, `validation`: fits per record; `noise_floor`: standard
     deviation of the unpredictable part per output; `residual_test`; `structure_test`; `aic`, `bic`; `noise`:
     noise model in words and figures; `warnings`: in words; `scaling`, `setting`, `structure`: what the computation
-    used; `fixed`: entries of the joined blocks that did not move (by `fix`, or the scale under base excitation).
+    used; `fixed`: entries of the joined blocks that did not move (by `fix`, or the scale under base excitation);
+    `hidden`: what is known of coordinates that no output measures, None where every one is measured.
     """
 
     model: MechanicalModel
@@ -68,6 +70,7 @@ class Identification(Shown):
     setting: Setting = field(repr=False)
     structure: Structure = field(repr=False)
     fixed: Bool[np.ndarray, " entries"] = field(repr=False)
+    hidden: HiddenEvidence | None = None
 
     @property
     def mass(self) -> Float[np.ndarray, "dofs dofs"]:
@@ -91,8 +94,13 @@ class Identification(Shown):
 
     @property
     def standard_errors(self) -> dict[str, Float[np.ndarray, "dofs dofs"]] | None:
-        """Standard error of every entry."""
-        return None if self.uncertainty is None else self.uncertainty.standard_errors()
+        """Standard error of every entry; not a number where inputs and outputs do not determine the entry."""
+        if self.uncertainty is None:
+            return None
+        errors = self.uncertainty.standard_errors()
+        if self.hidden is None:
+            return errors
+        return {name: np.where(self.hidden.undetermined[name], np.nan, X) for name, X in errors.items()}
 
     @property
     def structure_price(self) -> tuple[int, float] | None:
@@ -131,14 +139,20 @@ class Identification(Shown):
         return result
 
     def __repr__(self) -> str:
-        lines = [f"Identification: {self.model.dofs} coordinates, {self.start.method} start"]
+        unseen = f" ({', '.join(self.model.hidden)} measured by no output)" if self.model.hidden else ""
+        lines = [f"Identification: {self.model.dofs} coordinates{unseen}, {self.start.method} start"]
         errors = self.standard_errors
         for name in ("mass", "damping", "stiffness"):
             matrix = getattr(self, name)
             for k, row in enumerate(matrix):
                 spread = [None] * len(row) if errors is None else errors[name][k]
-                values = "  ".join(plus_minus(v, e, digits=1) for v, e in zip(row, spread))
+                values = "  ".join(
+                    entry_text(v, e, None if self.hidden is None else self.hidden.kind(name, k, c), digits=1)
+                    for c, (v, e) in enumerate(zip(row, spread))
+                )
                 lines.append(f"  {name if k == 0 else '':10s}{values}")
+        if self.hidden is not None:
+            lines += [f"  {text}" for text in self.hidden.sentences()]
         for kind, fits in self.fit_percent.items():
             lines.append(f"  fit on {kind}: " + ", ".join(f"{n} {v:.2f} %" for n, v in fits.items()))
         if self.structure_price is not None:
@@ -161,6 +175,7 @@ def assess(
     start: Start,
     refinement: Refinement | None,
     notes: tuple[str, ...],
+    hidden: HiddenEvidence | None = None,
 ) -> Identification:
     """Fits, tests, covariance and warnings of a model found; see `Identification`."""
     matrices = scaling.matrices_in(*jax.device_get((model.mass, model.damping, model.stiffness)))
@@ -173,7 +188,7 @@ def assess(
     noise = {"form": "output-error"}
     parameters = 3 * model.dofs * (model.dofs + 1) // 2
     if refinement is not None:
-        plain = Iterate(refinement.blocks, without_noise(refinement.nuisance), np.eye(model.dofs))
+        plain = Iterate(refinement.blocks, without_noise(refinement.nuisance), np.eye(model.outputs))
         _, J = sensitivities(plain, Criterion(batch, setting, structure))
         J = np.asarray(J)
         meat = None
@@ -195,6 +210,8 @@ def assess(
             direct=setting.hold == "linear" or bool(np.any(np.asarray(system.D) != 0)),
         )
         parameters = refinement.normal.information.shape[0]
+        if hidden is not None:
+            parameters -= int(np.sum(held))
         if refinement.prior is not None:
             warnings += _open_masses(left_open(refinement.normal.information, refinement.prior, np.asarray(held, bool)))
         if refinement.price is not None:
@@ -231,6 +248,7 @@ def assess(
         setting,
         structure,
         np.asarray(held, bool),
+        hidden,
     )
 
 

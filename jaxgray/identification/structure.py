@@ -26,6 +26,16 @@ LIFT = 1e-3
 class AbstractAssembly(eqx.Module):
     """How one of M, D, K is built from blocks."""
 
+    @property
+    def positive(self) -> bool:
+        """Whether a singular matrix lies on the edge of what is allowed to it."""
+        return True
+
+    @property
+    def sized(self) -> bool:
+        """Whether blocks have a size of their own, so that one which is zero is a parameter without effect."""
+        return True
+
     @abc.abstractmethod
     def sizes(self, dofs: int) -> tuple[int, ...]:
         """Rows of each block."""
@@ -233,3 +243,7 @@ def structure_of(names: str | tuple[str, ...] | None) -> Structure:
         owner, assembly = _BY_NAME[name]
         chosen[owner] = assembly
     return Structure(**chosen)
+
+
+NAMES = tuple(_BY_NAME)
+"""Structures by the name that the command uses."""

@@ -112,7 +112,10 @@ def uncertainty(
     block_names = _block_entry_names(structure, dofs)
     kept_names = [name for name, keep in zip(block_names, free[:entries]) if keep]
     strength = diagonal[:count] * sizes**2 / max(float(refinement.variance), 1e-300)
-    unmoved = tuple(name for name, moved in zip(kept_names, strength) if not moved > UNMOVED**2)
+    sized = np.array([getattr(structure, name.split("[")[0].split(" ")[0]).sized for name in kept_names], bool)
+    # One that is not there has no size by which to judge it.
+    telling = sized | (sizes > 0) | (diagonal[:count] == 0)
+    unmoved = tuple(name for name, moved, told in zip(kept_names, strength, telling) if told and not moved > UNMOVED**2)
     weak = tuple(
         _combination(vectors[:, k], kept_names)
         for k in range(count)
@@ -124,7 +127,7 @@ def uncertainty(
         _condition(values) if count else 1.0,
         weak,
         unmoved,
-        _edges(refinement, scaling),
+        _edges(refinement, scaling, structure),
         meat is not None,
     )
 
@@ -158,9 +161,11 @@ def _combination(vector: np.ndarray, names: list[str]) -> str:
     return " ".join(f"{'+' if vector[k] > 0 else '-'}{abs(vector[k]):.2f} {names[k]}" for k in shown)
 
 
-def _edges(refinement: Refinement, scaling: Scaling) -> tuple[str, ...]:
+def _edges(refinement: Refinement, scaling: Scaling, structure: Structure) -> tuple[str, ...]:
     found = []
     for name in ("mass", "damping", "stiffness"):
+        if not getattr(structure, name).positive:
+            continue
         matrix = np.asarray(getattr(refinement, name))
         values, vectors = np.linalg.eigh(matrix)
         for value, vector in zip(values, vectors.T):

@@ -1,6 +1,7 @@
 """What every computation with a mechanical model asks of it."""
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from .drives import AbstractDrive
@@ -25,11 +26,27 @@ class AbstractMechanicalModel(eqx.Module):
     input_units: eqx.AbstractVar[tuple[str, ...]]
     output_units: eqx.AbstractVar[tuple[str, ...]]
     effects: eqx.AbstractVar[tuple]
+    hidden: eqx.AbstractVar[tuple[str, ...]]
 
     @property
     def dofs(self) -> int:
-        """Number of coordinates."""
+        """Number of coordinates, measured and hidden."""
         return self.mass.shape[0]
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs; output k measures coordinate k."""
+        return len(self.output_names)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of all coordinates: those of the outputs, then those that no output measures."""
+        return self.output_names + self.hidden
+
+    @property
+    def output_map(self) -> Float[np.ndarray, "outputs dofs"]:
+        """C of y = C q (or of its derivatives, as `measured` says): ones where an output measures a coordinate."""
+        return np.eye(self.outputs, self.dofs)
 
     @property
     def inputs(self) -> int:

@@ -44,6 +44,8 @@ def describe(model) -> str:
         f"  inputs   {channels(model.input_names, model.input_units)}",
         f"  outputs  {channels(model.output_names, model.output_units, model.measured)}",
     ]
+    if model.hidden:
+        lines.append(f"  hidden   {', '.join(model.hidden)}, measured by no output")
     drive = model.drive
     if isinstance(drive, Force):
         lines += _matrix("force map", "", drive.input_map)

@@ -192,7 +192,7 @@ def extended_run(
 ) -> Float[Array, "samples outputs"]:
     """Free run of a plant with all kinds of effects: inputs first, then the plant and its forces, then outputs.
 
-    **Arguments:** `plant`; `terms`; `x0`: (q, q̇) of the coordinates that are measured, an added one being at rest;
+    **Arguments:** `plant`; `terms`; `x0`: (q, q̇) of the coordinates, one that an effect adds being at rest;
     `u`; `sampling_time` [s]; `hold`; `scheduling`: channel some laws read; `substeps`: steps per sample of the forces.
 
     **Returns:** the outputs. Traceable and differentiable by every array.
@@ -201,7 +201,7 @@ def extended_run(
     outputs = len(plant.measured)
     plant = changed_plant(plant, terms)
     laws = tuple(dict.fromkeys(t.effect for t in terms if isinstance(t.effect, AbstractForceEffect)))
-    state = _widened(x0, outputs, plant.mass.shape[0])
+    state = _widened(x0, plant.mass.shape[0])
     y = plant_run(
         plant,
         state,
@@ -248,7 +248,7 @@ def source_of(term: Term, y: Float[Array, "samples outputs"], u: Float[Array, "s
     return jnp.concatenate([y, u], axis=1)[:, term.place.second]
 
 
-def _widened(x0, measured, dofs):
-    q, v = x0[:measured], x0[measured:]
-    rest = jnp.zeros(dofs - measured)
+def _widened(x0, dofs):
+    q, v = jnp.split(x0, 2)
+    rest = jnp.zeros(dofs - len(q))
     return jnp.concatenate([q, rest, v, rest])

@@ -52,7 +52,7 @@ def linear_plant(model: MechanicalModel, *, linear: bool, known: tuple[str, ...]
 def continuous_system(plant: Plant, outputs: int, time_unit: float = 1.0) -> StateSpace:
     """First-order form with the state (q, T q̇); of a measured base displacement (q, T (q̇ − M⁻¹ D r x)).
 
-    **Arguments:** `plant`; `outputs`: how many coordinates are measured; `time_unit` (T) [s], default 1.
+    **Arguments:** `plant`; `outputs`: how many of its outputs are those of the model; `time_unit` (T) [s], default 1.
     """
     drive = plant.drive
     system = drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, time_unit)

@@ -25,7 +25,7 @@ class Modes(eqx.Module):
     `damping_ratio`: a fraction, NaN where the natural frequency is 0; `mode_shapes` (dofs × modes): undamped,
     real, VᵀMV = I, largest entry positive; `poles` [rad/s]: damped, by ascending magnitude, both of each
     pair; `complex_mode_shapes` (dofs × poles): (s²M + sD + K)φ = 0, largest entry 1; `names` of the
-    coordinates.
+    coordinates; `hidden`: those of them that no output measures.
     """
 
     natural_frequency_hz: Float[np.ndarray, " modes"]
@@ -34,16 +34,19 @@ class Modes(eqx.Module):
     poles: Complex[np.ndarray, " states"]
     complex_mode_shapes: Complex[np.ndarray, "dofs states"]
     names: tuple[str, ...] = eqx.field(static=True)
+    hidden: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __repr__(self) -> str:
-        rows = [("mode", "frequency [Hz]", "damping ratio", *self.names)]
+        names = (f"({name})" if name in self.hidden else name for name in self.names)
+        rows = [("mode", "frequency [Hz]", "damping ratio", *names)]
         for k, (f, z) in enumerate(zip(self.natural_frequency_hz, self.damping_ratio)):
             shape = self.mode_shapes[:, k] / np.max(np.abs(self.mode_shapes[:, k]))
             rows.append((str(k + 1), f"{f:.6g}", f"{z:.4g}", *(f"{entry:+.3f}" for entry in shape)))
         width = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
         lines = ["  ".join(text.rjust(w) for text, w in zip(row, width)) for row in rows]
         poles = ", ".join(f"{s.real:.4g}" + (f" ± {s.imag:.5g}j" if s.imag else "") for s in self.poles if s.imag >= 0)
-        return "\n".join(["Modes (shapes scaled to largest entry 1)", *lines, f"poles [rad/s]: {poles}"])
+        marked = "; in brackets: not measured" if self.hidden else ""
+        return "\n".join([f"Modes (shapes scaled to largest entry 1{marked})", *lines, f"poles [rad/s]: {poles}"])
 
 
 @jax.custom_jvp
@@ -179,7 +182,7 @@ def modes(model: AbstractMechanicalModel) -> Modes:
     order = np.lexsort((-s.imag, np.abs(s.imag) == 0, magnitude))
     s, phi = s[order], phi[:, order]
     phi = phi / phi[np.argmax(np.abs(phi), axis=0), np.arange(len(s))]
-    return Modes(f, ratio, V, s, phi, model.output_names)
+    return Modes(f, ratio, V, s, phi, model.coordinates, model.hidden)
 
 
 def check_mass(model: AbstractMechanicalModel) -> None:
@@ -222,7 +225,7 @@ def known_rate(model: AbstractMechanicalModel) -> str:
     With the base acceleration as input their absolute motion is only known as acceleration.
     """
     try:
-        model.drive.check(model.dofs, ("displacement",) * model.dofs)
+        model.drive.check(model.dofs, ("displacement",) * model.outputs)
     except ValueError:
         return "acceleration"
     return "displacement"
@@ -231,10 +234,10 @@ def known_rate(model: AbstractMechanicalModel) -> str:
 def response(
     model: AbstractMechanicalModel, omega: Float[Array, " frequencies"]
 ) -> Complex[Array, "frequencies outputs inputs"]:
-    """Frequency-response function of the `known_rate` of the coordinates, whatever is measured; traceable."""
+    """Frequency-response function of the `known_rate` of the measured coordinates, whatever is measured; traceable."""
     squared, V = undamped_modes(model.mass, model.stiffness)
     T = jax.lax.stop_gradient(time_scale(squared, V.T @ model.damping @ V))
-    rates = (known_rate(model),) * model.dofs
+    rates = (known_rate(model),) * model.outputs
     return model.drive.state_space(model.mass, model.damping, model.stiffness, rates, T).transfer(omega * T)
 
 
@@ -257,7 +260,7 @@ def check_omega(omega) -> Float[Array, " frequencies"]:
 def frequency_response(
     model: AbstractMechanicalModel, omega, *, kind: str = "receptance"
 ) -> Complex[np.ndarray, "frequencies outputs inputs"]:
-    """Frequency-response function of the coordinates, for forces (K + jωD − ω²M)⁻¹E (jω)^k.
+    """Frequency-response function of the measured coordinates, for forces (K + jωD − ω²M)⁻¹E (jω)^k.
 
     With a base displacement or acceleration as input it is the motion (absolute or relative, as measured) per
     unit of that input.

@@ -20,16 +20,29 @@ def _matrix(value, name: str) -> Array:
     return X
 
 
+def hidden_names(hidden) -> tuple[str, ...]:
+    """Names of hidden coordinates: as given, or h1, h2, … of so many.
+
+    **Raises:** `ValueError` for anything but texts or a whole number.
+    """
+    if isinstance(hidden, int | np.integer) and not isinstance(hidden, bool) and hidden >= 0:
+        return tuple(f"h{k + 1}" for k in range(hidden))
+    names = hidden if isinstance(hidden, tuple | list) else None
+    if names is None or not all(isinstance(name, str) and name for name in names):
+        raise ValueError(f"hidden={hidden!r} is not understood; give how many coordinates are hidden, or their names.")
+    return tuple(names)
+
+
 class MechanicalModel(AbstractMechanicalModel):
     """A linear mechanical system in continuous time, in the units of the record it came from.
 
-    M q̈ + D q̇ + K q = E u, outputs measured one per coordinate.
+    M q̈ + D q̇ + K q = E u, output k measuring coordinate k; coordinates beyond the outputs are hidden.
 
     **Arguments:** `mass`, `damping`, `stiffness` (dofs × dofs, symmetric); `drive`: how the input enters
     (default: input j is a force on coordinate j); `measured`: "displacement", "velocity" or "acceleration",
     one for all outputs or one per output; `input_names`, `output_names`, `input_units`, `output_units`;
     `effects`: what `simulate` adds to the linear model; modes, zeros, responses and `state_space` are of the linear
-    part.
+    part; `hidden`: how many coordinates, the last ones, no output measures, or their names (default none; h1, h2, …).
 
     **Raises:** `ValueError` when shapes or names do not fit together.
     """
@@ -44,6 +57,7 @@ class MechanicalModel(AbstractMechanicalModel):
     input_units: tuple[str, ...] = eqx.field(static=True)
     output_units: tuple[str, ...] = eqx.field(static=True)
     effects: tuple
+    hidden: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -58,19 +72,22 @@ class MechanicalModel(AbstractMechanicalModel):
         input_units=None,
         output_units=None,
         effects=(),
+        hidden=(),
     ):
         ready()
         self.mass = _matrix(mass, "mass")
         self.damping = _matrix(damping, "damping")
         self.stiffness = _matrix(stiffness, "stiffness")
+        self.hidden = hidden_names(hidden)
         dofs = self.mass.shape[0]
-        self.drive = Force(jnp.eye(dofs)) if drive is None else drive
-        self.measured = (measured,) * dofs if isinstance(measured, str) else tuple(measured)
+        outputs = max(dofs - len(self.hidden), 0)
+        self.drive = Force(jnp.eye(dofs, outputs)) if drive is None else drive
+        self.measured = (measured,) * outputs if isinstance(measured, str) else tuple(measured)
         inputs = self.drive.inputs
         self.input_names = tuple(input_names or (f"u{k + 1}" for k in range(inputs)))
-        self.output_names = tuple(output_names or (f"y{k + 1}" for k in range(dofs)))
+        self.output_names = tuple(output_names or (f"y{k + 1}" for k in range(outputs)))
         self.input_units = tuple(input_units or ("",) * inputs)
-        self.output_units = tuple(output_units or ("",) * dofs)
+        self.output_units = tuple(output_units or ("",) * outputs)
         self.effects = tuple(effects)
 
     def __check_init__(self):
@@ -81,20 +98,25 @@ class MechanicalModel(AbstractMechanicalModel):
                     f"{name} has shape {tuple(getattr(self, name).shape)}, mass has {tuple(self.mass.shape)}; "
                     "give all three for the same coordinates."
                 )
-        if len(self.measured) != dofs or any(kind not in ORDER for kind in self.measured):
+        outputs = dofs - len(self.hidden)
+        if outputs < 1:
+            raise ValueError(f"hidden={self.hidden} leaves no coordinate of {dofs} for an output; name fewer.")
+        if len(self.measured) != outputs or any(kind not in ORDER for kind in self.measured):
             raise ValueError(
                 f"measured={self.measured} does not say displacement, velocity or acceleration for each of the "
-                f"{dofs} coordinates."
+                f"{outputs} {'measured ' * bool(self.hidden)}coordinates."
             )
         self.drive.check(dofs, self.measured)
         for name, wanted in (
             ("input_names", self.drive.inputs),
             ("input_units", self.drive.inputs),
-            ("output_names", dofs),
-            ("output_units", dofs),
+            ("output_names", outputs),
+            ("output_units", outputs),
         ):
             if len(getattr(self, name)) != wanted:
                 raise ValueError(f"{name}={getattr(self, name)} has {len(getattr(self, name))} entries, not {wanted}.")
+        if len(set(self.coordinates)) < len(self.coordinates) and self.hidden:
+            raise ValueError(f"hidden={self.hidden} repeats a name; coordinates are {', '.join(self.coordinates)}.")
 
     def with_matrices(self, mass, damping, stiffness) -> "MechanicalModel":
         """The same model with other matrices."""
@@ -177,7 +199,7 @@ class MechanicalModel(AbstractMechanicalModel):
         return zeros(self, input=input, output=output)
 
     def frequency_response(self, omega, *, kind="receptance"):
-        """Frequency-response function of the coordinates.
+        """Frequency-response function of the measured coordinates.
 
         **Arguments:** `omega`: frequencies [rad/s]; `kind`: "receptance" (default), "mobility" or
         "accelerance".

@@ -108,7 +108,7 @@ def simulate(
     _steps(substeps)
     p = _scheduling(model, scheduling, len(u))
     y = np.asarray(free_run(model, u, h, hold, x0, scheduling=p, substeps=_counted(substeps)))
-    offset = _vector("offset", offset, model.dofs, "one value per output")
+    offset = _vector("offset", offset, model.outputs, "one value per output")
     if offset is not None:
         y = y + np.asarray(offset)
     if not np.isfinite(y).all():
@@ -149,7 +149,7 @@ def initial_state(
     y = _output(model, y, u)
     _steps(substeps)
     p = _scheduling(model, scheduling, len(u))
-    dofs, samples = model.dofs, len(y)
+    dofs, outputs, samples = model.dofs, model.outputs, len(y)
     known = np.isfinite(y)
     if kept is not None:
         kept = np.asarray(kept, dtype=bool)
@@ -170,11 +170,11 @@ def initial_state(
     measured = np.where(known, y, 0.0)
     size = np.sqrt(np.sum(np.where(known, measured - measured.sum(axis=0) / counted, 0.0) ** 2, axis=0) / counted)
     weight = known / np.where(size > 0, size, 1.0)
-    found = np.zeros(2 * dofs), np.zeros(dofs)
+    found = np.zeros(2 * dofs), np.zeros(outputs)
     if bounded:
         table = free
         if offset:
-            table = np.concatenate([free, np.broadcast_to(np.eye(dofs), (samples, dofs, dofs))], axis=2)
+            table = np.concatenate([free, np.broadcast_to(np.eye(outputs), (samples, outputs, outputs))], axis=2)
         table = (table * weight[:, :, None])[known]
         norm = np.linalg.norm(table, axis=0)
         norm = np.where(norm > 0, norm, 1.0)
@@ -183,7 +183,7 @@ def initial_state(
         found = np.concatenate([state[:dofs], state[dofs:] / float(h)]), solution[2 * dofs :] if offset else found[1]
     if not model.effects:
         return found
-    rest = np.zeros(2 * dofs), np.zeros(dofs)
+    rest = np.zeros(2 * dofs), np.zeros(outputs)
     run = eqx.Partial(_from_state, model, u, h, hold, p, _counted(substeps))
     return refined_state(run, [found, rest], measured, weight, offset)
 
@@ -262,7 +262,7 @@ def predict(
     known = np.isfinite(residual)
     if output_noise is None:
         output_noise = _white_part(residual)
-    output_noise = np.asarray(_vector("output_noise", output_noise, model.dofs, "one per output"))
+    output_noise = np.asarray(_vector("output_noise", output_noise, model.outputs, "one per output"))
     if (output_noise < 0).any():
         raise ValueError(f"output_noise is {output_noise}; give standard deviations, 0 or more.")
     size = np.sqrt(np.sum(np.where(known, y, 0.0) ** 2, axis=0) / np.maximum(known.sum(axis=0), 1))
@@ -317,9 +317,9 @@ def _input(model, u, sampling_time, hold) -> tuple[Array, Array]:
 
 def _output(model, y, u) -> Float[np.ndarray, "samples outputs"]:
     y = as_channels("y", y)
-    if y.shape != (len(u), model.dofs):
+    if y.shape != (len(u), model.outputs):
         raise ValueError(
-            f"y has shape {y.shape}; give {(len(u), model.dofs)}, as many samples as u and a column per output."
+            f"y has shape {y.shape}; give {(len(u), model.outputs)}, as many samples as u and a column per output."
         )
     return y
 

@@ -227,6 +227,6 @@ def trajectory(
 
 def direct(plant: Plant, arms: Float[Array, "slots dofs"]) -> Float[Array, "outputs slots"]:
     """What a force adds to measured accelerations at once."""
-    added = -jnp.linalg.solve(plant.mass, arms.T)
+    added = -jnp.linalg.solve(plant.mass, arms.T)[: len(plant.measured)]
     measured = jnp.asarray([kind == "acceleration" for kind in plant.measured])
     return jnp.where(measured[:, None], added, 0.0)

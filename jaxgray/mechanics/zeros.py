@@ -83,7 +83,7 @@ def transmission_zeros(model: AbstractMechanicalModel) -> Zeros:
 
     **Raises:** `ValueError` when the mass is not positive definite, or when inputs do not show separately.
     """
-    return _zeros(model, np.arange(model.inputs), np.arange(model.dofs))
+    return _zeros(model, np.arange(model.inputs), np.arange(model.outputs))
 
 
 def zeros(model: AbstractMechanicalModel, *, input, output) -> Zeros:

@@ -236,3 +236,12 @@ def least_squares(X: Float[Array, "rows columns"], Y: Float[Array, "rows targets
     scale = jnp.where(scale > 0, scale, 1.0)
     Q, R = jnp.linalg.qr(X / scale)
     return jsl.solve_triangular(R, Q.T @ Y) / scale[:, None]
+
+
+def null_basis(X: Float[Array, "rows columns"]) -> Float[Array, "columns directions"]:
+    """A basis of what a matrix of full row rank takes to zero, orthonormal at hand; traceable and differentiable.
+
+    Which basis does not matter to what is made of it, so that the choice is taken as constant.
+    """
+    first = jax.lax.stop_gradient(jnp.linalg.qr(jax.lax.stop_gradient(X).T, mode="complete")[0][:, X.shape[0] :])
+    return first - X.T @ jnp.linalg.solve(X @ X.T, X @ first)

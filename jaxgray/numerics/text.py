@@ -36,3 +36,15 @@ def listed(words, last: str = "and") -> str:
     """Words with commas, and `last` before the last one."""
     words = list(words)
     return ", ".join(words[:-1]) + f" {last} {words[-1]}" if len(words) > 1 else "".join(words)
+
+
+def entry_text(value: float | None, error: float | None, kind: str | None, *, digits: int = 2) -> str:
+    """An entry of a matrix with hidden coordinates: "set" by the canonical form, "canonical", "open" or "physical".
+
+    **Arguments:** as of `plus_minus`; `kind`: None for a matrix without hidden coordinates.
+    """
+    if kind == "open":
+        return "open"
+    if kind == "set":
+        return f"{value:.5g} (set)"
+    return plus_minus(value, error, digits=digits) + ("*" if kind == "canonical" else "")

@@ -76,7 +76,10 @@ def model_document(model: MechanicalModel) -> dict:
         document["base"] = {"kind": kind, "direction": direction, "relative": drive.relative}
     if model.effects:
         document["effects"] = [term_document(term) for term in model.effects]
-    return document | {name: list(getattr(model, name)) for name in TEXTS}
+    document |= {name: list(getattr(model, name)) for name in TEXTS}
+    if model.hidden:
+        document |= {"coordinates": list(model.coordinates), "hidden": list(model.hidden)}
+    return document
 
 
 def load(path) -> MechanicalModel:
@@ -217,7 +220,9 @@ def _model(document: dict) -> MechanicalModel:
         drive = _base(document["base"])
     elif document.get("input_map") is not None:
         drive = Force(jnp.asarray(_matrix("input_map", document["input_map"])))
-    texts = {name: document[name] for name in TEXTS if document.get(name) is not None}
+    texts = {name: document[name] for name in (*TEXTS, "hidden") if document.get(name) is not None}
+    if isinstance(texts.get("hidden"), int):
+        raise ValueError(f"hidden is {texts['hidden']!r}; give a list of texts.")
     for name, value in texts.items():
         words = isinstance(value, list) and all(isinstance(word, str) for word in value)
         if not words and not (name == "measured" and isinstance(value, str)):

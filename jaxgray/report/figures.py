@@ -110,7 +110,7 @@ def residuals(result: Identification) -> Figure:
     **Returns:** the figure: a row per output; bars beyond the bands are shown in colour.
     """
     test, model = result.residual_test, result.model
-    n, m = model.dofs, model.inputs
+    n, m = model.outputs, model.inputs
     figure = Figure(figsize=(3.0 + 2.6 * (1 + m), 0.9 + 2.0 * n), layout="constrained")
     axes = figure.subplots(n, 1 + m, squeeze=False, sharex="col")
     white = "white" if test.white else "not white"
@@ -155,7 +155,7 @@ def bode(result: Identification, *, points: int = 600) -> Figure:
     the output measures; resonances dotted, antiresonances dashed.
     """
     model = result.model
-    n, m = model.dofs, model.inputs
+    n, m = model.outputs, model.inputs
     frequency, resonances, antiresonances = response_grid(result, points)
     H, magnitude, phase = responses(result, 2 * np.pi * frequency)
     figure = Figure(figsize=(max(1.6 + 4.2 * m, 7.0), 0.8 + 3.0 * n), layout="constrained")

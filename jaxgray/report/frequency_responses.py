@@ -35,7 +35,8 @@ def response_grid(result: Identification, points: int):
 def responses(result: Identification, omega: np.ndarray):
     """Response, and standard errors of magnitude and phase or None, each output as it is measured."""
     model = result.model
-    H, magnitude, phase = (np.zeros((len(omega), model.dofs, model.inputs), kind) for kind in (complex, float, float))
+    shape = len(omega), model.outputs, model.inputs
+    H, magnitude, phase = (np.zeros(shape, kind) for kind in (complex, float, float))
     known = result.covariance is not None
     for kind in dict.fromkeys(model.measured):
         outputs = [k for k, one in enumerate(model.measured) if one == kind]

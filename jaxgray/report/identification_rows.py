@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..numerics.text import plus_minus
+from ..numerics.text import entry_text, plus_minus
 from .rows import Rows
 
 MATRICES = ("mass", "damping", "stiffness")
@@ -17,7 +17,9 @@ def verdict(document: dict) -> str:
     drive = model.get("input_map") or model["base"]["direction"]
     where = "on data the fit has not seen" if held_out else "on the data of the fit"
     colour = "white" if document["residual_test"]["white"] else "not white"
-    count = _count(len(model["mass"]), "coordinate"), _count(len(drive[0]), "input")
+    unseen = len(model.get("hidden") or ())
+    coordinates = _count(len(model["mass"]), "coordinate") + (f", {unseen} of them hidden" if unseen else "")
+    count = coordinates, _count(len(drive[0]), "input")
     kind = "" if document["refined"] else ", starting model without refinement"
     return f"{count[0]}, {count[1]}{kind}: fit {shown} {where}; residual {colour}."
 
@@ -31,17 +33,57 @@ def matrix_rows(name: str, model: dict) -> Rows:
 
     **Arguments:** `name`: "mass", "damping" or "stiffness"; `model`: of a document, with `standard_errors` and `units`.
     """
-    places = model["output_names"]
+    places = coordinate_titles(model)
+    kinds = model.get("entries")
     errors, units = model["standard_errors"], model["units"]
     unit = common_unit(units and units[name])
     body = []
     for r, place in enumerate(places):
         cells = []
         for c, value in enumerate(model[name][r]):
-            text = plus_minus(value, None if errors is None else errors[name][r][c])
+            error = None if errors is None else errors[name][r][c]
+            text = entry_text(value, error, kinds and kinds[name][r][c])
             cells.append(text if unit or not units else f"{text} {units[name][r][c]}")
         body.append((place, *cells))
     return Rows((f"{name} [{unit}]" if unit else name, *places), tuple(body))
+
+
+def coordinate_titles(model: dict) -> list[str]:
+    """Names of the coordinates, those that no output measures in brackets."""
+    hidden = model.get("hidden") or []
+    return [*model["output_names"], *(f"({name})" for name in hidden)]
+
+
+def element_rows(document: dict) -> Rows | None:
+    """Masses, dampers and springs of a structure ± one standard error, None where none is named."""
+    hidden = document.get("hidden")
+    if not hidden or not hidden["elements"]:
+        return None
+    body = []
+    for element in hidden["elements"]:
+        value, error = element["value"], element["standard_error"]
+        shown = "open" if value is None else plus_minus(value, 0.0 if element["known"] else error)
+        body.append((element["name"], shown))
+    return Rows(("element", "value"), tuple(body))
+
+
+def order_rows(document: dict) -> Rows | None:
+    """How many coordinates are hidden, and why; None where the number was given."""
+    order = (document.get("hidden") or {}).get("order")
+    if not order:
+        return None
+    body = []
+    for step in order["steps"]:
+        delta = "–" if step["delta_bic"] is None else f"{step['delta_bic']:+.1f}"
+        gain = "–" if step["gain_percent"] is None else f"{step['gain_percent']:.2g} ± {step['gain_error']:.1g} %"
+        verdict = "accepted" if step["accepted"] else step["failure"] or "not accepted"
+        body.append((str(step["hidden"]), delta, gain, verdict))
+    return Rows(("hidden", "ΔBIC", "held-out error falls by", "verdict"), tuple(body), frozenset({0, 3}))
+
+
+def hidden_lines(document: dict) -> list[str]:
+    """What to keep in mind with hidden coordinates."""
+    return list((document.get("hidden") or {}).get("sentences") or ())
 
 
 def common_unit(table: list[list[str]] | None) -> str | None:
@@ -74,11 +116,11 @@ def mode_rows(document: dict) -> Rows:
             (
                 str(k + 1),
                 plus_minus(mode["frequency_hz"], mode["frequency_standard_error"]),
-                plus_minus(100 * ratio, None if error is None else 100 * error),
+                plus_minus(None if ratio is None else 100 * ratio, None if error is None else 100 * error),
                 *(f"{v:+.3f}" for v in shape / np.max(np.abs(shape))),
             )
         )
-    head = "mode", "natural frequency [Hz]", "damping ratio [%]", *document["model"]["output_names"]
+    head = "mode", "natural frequency [Hz]", "damping ratio [%]", *coordinate_titles(document["model"])
     return Rows(head, tuple(body))
 
 

@@ -40,7 +40,7 @@ def mode_shapes(result: Identification | MechanicalModel) -> Figure:
         axis.plot(at, shape / size, "o-", color=SIMULATED, markersize=6)
         if errors is not None:
             axis.errorbar(at, shape / size, 2 * errors, fmt="none", ecolor=RESIDUAL, capsize=3)
-        axis.set_xticks(at, model.output_names)
+        axis.set_xticks(at, [f"({name})" if name in model.hidden else name for name in model.coordinates])
         axis.set_xlim(-0.5, model.dofs - 0.5)
         known = spread is not None
         frequency = plus_minus(modes.natural_frequency_hz[k], spread.natural_frequency_hz[k] if known else None)

@@ -6,7 +6,16 @@ from ..identification.sweeping import Sweep
 from .diagnosis_rows import error_rows, findings_rows, shift_rows
 from .diagnosis_summary import diagnosis_document
 from .export import plain
-from .identification_rows import MATRICES, fit_rows, matrix_rows, mode_rows, verdict
+from .identification_rows import (
+    MATRICES,
+    element_rows,
+    fit_rows,
+    hidden_lines,
+    matrix_rows,
+    mode_rows,
+    order_rows,
+    verdict,
+)
 from .page import environment
 from .rows import Rows
 from .summary import identification_document
@@ -35,8 +44,11 @@ def _diagnosis(document: dict) -> str:
 
 
 def _identification(document: dict) -> str:
-    tables = [matrix_rows(name, document["model"]) for name in MATRICES] + [fit_rows(document), mode_rows(document)]
-    return _rendered(verdict(document), tables, [f"Warning: {text}" for text in document["warnings"]])
+    extra = [rows for rows in (element_rows(document), order_rows(document)) if rows is not None]
+    tables = [matrix_rows(name, document["model"]) for name in MATRICES] + extra
+    tables += [fit_rows(document), mode_rows(document)]
+    notes = hidden_lines(document)
+    return _rendered(verdict(document), tables, notes + [f"Warning: {text}" for text in document["warnings"]])
 
 
 def _sweep(result: Sweep) -> str:

@@ -3,7 +3,20 @@
 import numpy as np
 
 from ..identification import Identification
-from .identification_rows import MATRICES, evidence_lines, fit_rows, matrix_rows, mode_rows, start_line, verdict
+from ..numerics.text import plus_minus
+from .identification_rows import (
+    MATRICES,
+    coordinate_titles,
+    element_rows,
+    evidence_lines,
+    fit_rows,
+    hidden_lines,
+    matrix_rows,
+    mode_rows,
+    order_rows,
+    start_line,
+    verdict,
+)
 from .page_identification_plots import bode_plots, correlation_plots, fit_plots, start_plot
 from .page_parts import Fact, Page, Section, Shapes, Table, Tables, Words
 from .page_records import record_section
@@ -50,6 +63,12 @@ def _sections(result: Identification, document: dict):
         + (Words(tuple(_limits(document))),),
     )
     yield Section(
+        "hidden",
+        "Coordinates that no output measures",
+        "What inputs and outputs say of them, and what they leave open.",
+        tuple(_hidden(document)),
+    )
+    yield Section(
         "fit",
         "Measured and simulated",
         "Free runs from the input alone. Below each, what the model misses, with ±2 σ of the noise shaded.",
@@ -88,6 +107,19 @@ def _sections(result: Identification, document: dict):
     yield record_section(result.records, result.validation_records, document, *_noise(document))
 
 
+def _hidden(document: dict):
+    """Elements of a structure, how the number was found, and what to keep in mind."""
+    for rows, title in (
+        (element_rows(document), "Masses, dampers and springs ± standard error"),
+        (order_rows(document), "How many coordinates are hidden"),
+    ):
+        if rows is not None:
+            yield Table(rows, title)
+    lines = hidden_lines(document)
+    if lines:
+        yield Words(tuple(lines))
+
+
 def _limits(document: dict):
     """What the numbers rest on."""
     for text in document["at_edge"] or ():
@@ -104,15 +136,18 @@ def _noise(document: dict):
 
 def _zeros(document: dict):
     """Antiresonances of every pair, as far as there are any."""
-    body = tuple(
-        (pair.replace("->", " to "), ", ".join(f"{value:.5g}" for value in values) or "none")
-        for pair, values in document["zeros_hz"].items()
-    )
+    known = (document.get("hidden") or {}).get("zeros_standard_errors_hz") or {}
+
+    def shown(pair, values):
+        errors = known.get(pair) or [None] * len(values)
+        return ", ".join(f"{v:.5g}" if e is None else plus_minus(v, e) for v, e in zip(values, errors)) or "none"
+
+    body = tuple((pair.replace("->", " to "), shown(pair, values)) for pair, values in document["zeros_hz"].items())
     yield Table(Rows(("input to output", "antiresonances [Hz]"), body, frozenset({0, 1})), "Antiresonances")
 
 
 def _shapes(document: dict):
-    names = tuple(document["model"]["output_names"])
+    names = tuple(coordinate_titles(document["model"]))
     modes = []
     for row, mode in zip(mode_rows(document).body, document["modes"]):
         shape = np.array(mode["shape"])

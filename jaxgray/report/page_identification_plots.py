@@ -64,7 +64,7 @@ def bode_plots(result: Identification, *, points: int = 500) -> list[Plot]:
             }
             alt = f"Frequency response from {source} to {place}: magnitude above, phase below, with 95 % bands."
             name = f"bode-{k}-{j}"
-            half = model.dofs * model.inputs > 1
+            half = model.outputs * model.inputs > 1
             plots.append(
                 Plot(
                     name,
@@ -151,7 +151,7 @@ def start_plot(result: Identification) -> Plot | None:
     if start.table is None or start.grid is None:
         return None
     # The score is minus half the sum over outputs of ln(mean square): back to a ratio of RMS residuals.
-    excess = np.exp((np.max(start.table) - start.table) / result.model.dofs)
+    excess = np.exp((np.max(start.table) - start.table) / result.model.outputs)
     excess = np.where(np.isfinite(start.table), excess, np.nan)
     taus, rows = start.grid
     text = [["–" if np.isnan(v) else f"{v:.2f}×" for v in line] for line in excess]

@@ -1,5 +1,7 @@
 """Results as plain dictionaries: what goes into the JSON files and onto the terminal."""
 
+import dataclasses
+
 import numpy as np
 
 from ..identification.result import Identification
@@ -7,6 +9,7 @@ from ..identification.sweeping import Sweep
 from ..identification.validation import Fit
 from ..mechanics.modal_uncertainty import modal_uncertainty
 from ..mechanics.model import MechanicalModel
+from ..numerics.linear_algebra import triangle
 from ..records import Record
 from .export import model_document
 from .units import matrix_units
@@ -14,6 +17,9 @@ from .units import matrix_units
 IDENTIFICATION = "jaxgray/identification/1"
 SWEEP = "jaxgray/sweep/1"
 SIMULATION = "jaxgray/simulation/1"
+
+LARGEST_CONDITION = 1e12
+"""Condition number of the hidden coordinates' stiffness up to which they are held by springs."""
 
 
 def identification_document(result: Identification, warnings: tuple[str, ...] = ()) -> dict:
@@ -35,7 +41,8 @@ def identification_document(result: Identification, warnings: tuple[str, ...] = 
             if spread is None
             else {name: errors.tolist() for name, errors in result.standard_errors.items()},
             "units": matrix_units(model),
-        },
+        }
+        | hidden_entries(result),
         "fit_percent": result.fit_percent,
         "rmse": result.rmse,
         "noise_floor": per_name(model.output_names, result.noise_floor),
@@ -53,6 +60,7 @@ def identification_document(result: Identification, warnings: tuple[str, ...] = 
         "at_edge": None if spread is None else list(spread.at_edge),
         "weak_directions": None if spread is None else list(spread.weak_directions),
         "unmoved": None if spread is None else list(spread.unmoved),
+        "hidden": hidden_document(result),
         "residual_test": {
             "white": tests.white,
             "input_explained": tests.input_explained,
@@ -70,6 +78,71 @@ def identification_document(result: Identification, warnings: tuple[str, ...] = 
         },
         "warnings": list(dict.fromkeys((*warnings, *result.warnings))),
     }
+
+
+def hidden_entries(result: Identification) -> dict:
+    """Of every entry of the matrices, what it is: "set", "canonical", "open" or "physical"; nothing without hidden
+    coordinates."""
+    if result.hidden is None or not result.model.hidden:
+        return {}
+    dofs = range(result.model.dofs)
+    kind = result.hidden.kind
+    names = ("mass", "damping", "stiffness")
+    return {"entries": {name: [[kind(name, r, c) for c in dofs] for r in dofs] for name in names}}
+
+
+def hidden_document(result: Identification) -> dict | None:
+    """What is known of coordinates that no output measures; None where every one is."""
+    known = result.hidden
+    if known is None:
+        return None
+    order = known.order
+    return {
+        "coordinates": list(known.names),
+        "canonical": known.canonical,
+        "rank": known.rank,
+        "parameters": known.parameters,
+        "combinations": list(known.combinations),
+        "elements": [dataclasses.asdict(element) for element in known.elements],
+        "alternatives": [model_document(model) for model in known.alternatives],
+        "order": None
+        if order is None
+        else {
+            "steps": [dataclasses.asdict(step) for step in order.steps],
+            "singular_values": order.singular_values,
+        },
+        "static_stiffness": static_stiffness(result),
+        "zeros_standard_errors_hz": zero_errors(result),
+        "sentences": known.sentences(),
+    }
+
+
+def static_stiffness(result: Identification) -> dict | None:
+    """Static stiffness K11 − K12 K22⁻¹ K21 of the measured coordinates, the hidden ones free to follow, with standard
+    errors by the delta method; None where hidden ones alone are free to move."""
+    model, p = result.model, result.model.outputs
+    K = np.asarray(model.stiffness)
+    if p == len(K) or not np.linalg.cond(K[p:, p:]) < LARGEST_CONDITION:
+        return None
+    # K11 − K12 K22⁻¹ K21 = Tᵀ K T with T = [I; −K22⁻¹ K21], of which the derivative is Tᵀ dK T.
+    T = np.concatenate([np.eye(p), -np.linalg.solve(K[p:, p:], K[p:, :p])])
+    errors = None
+    if result.covariance is not None:
+        rows, columns = triangle(len(K))
+        count = len(rows)
+        slopes = np.einsum("ki,kj->kij", T[rows], T[columns])
+        slopes = np.where((rows == columns)[:, None, None], slopes, slopes + np.swapaxes(slopes, 1, 2))
+        own = result.covariance[2 * count :, 2 * count :]
+        errors = np.sqrt(np.maximum(np.einsum("kij,kl,lij->ij", slopes, own, slopes), 0.0)).tolist()
+    return {"value": (T.T @ K @ T).tolist(), "standard_error": errors}
+
+
+def zero_errors(result: Identification) -> dict[str, list[float]] | None:
+    """Standard errors of the antiresonances, in the order of `antiresonances`; None without refinement."""
+    if result.covariance is None:
+        return None
+    found = modal_uncertainty(result.model, result.covariance).antiresonance_hz
+    return {f"{source}->{place}": errors.tolist() for (source, place), errors in found.items()}
 
 
 def modes_document(result: Identification) -> list[dict]:

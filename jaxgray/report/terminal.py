@@ -10,7 +10,18 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ..numerics.progress import AbstractProgress, Silent
-from .identification_rows import MATRICES, evidence_lines, fit_rows, matrix_rows, mode_rows, start_line, verdict
+from .identification_rows import (
+    MATRICES,
+    element_rows,
+    evidence_lines,
+    fit_rows,
+    hidden_lines,
+    matrix_rows,
+    mode_rows,
+    order_rows,
+    start_line,
+    verdict,
+)
 from .rows import Rows
 
 WIDTH = 110
@@ -77,6 +88,11 @@ def show_identification(out: Console, document: dict) -> None:
     out.print(verdict(document), style="bold", soft_wrap=True)
     for name in MATRICES:
         out.print(table_of(matrix_rows(name, document["model"])))
+    for rows in (element_rows(document), order_rows(document)):
+        if rows is not None:
+            out.print(table_of(rows))
+    for line in hidden_lines(document):
+        out.print(line, soft_wrap=True)
     out.print(table_of(fit_rows(document)))
     out.print(table_of(mode_rows(document)))
     for line in (*evidence_lines(document), start_line(document["start"])):

@@ -18,12 +18,16 @@ def matrix_units(model: MechanicalModel) -> dict[str, list[list[str]]] | None:
 
     **Arguments:** `model`.
 
-    **Returns:** one text per entry; None where a unit is missing or the base is driven, which leaves the
-    scale of the matrices open.
+    **Returns:** one text per entry; None where a unit is missing, the base is driven, which leaves the scale of the
+    matrices open, or hidden coordinates may be of any of several units.
     """
     if not isinstance(model.drive, Force) or not all(model.input_units) or not all(model.output_units):
         return None
     place = [displacement_unit(unit, kind) for unit, kind in zip(model.output_units, model.measured)]
+    if model.hidden and len(set(place)) != 1:
+        return None
+    # A hidden coordinate moves as the measured ones do.
+    place += place[:1] * len(model.hidden)
     E = np.asarray(model.drive.input_map)
     force: list[str | None] = [None] * model.dofs
     for row, column in np.argwhere(E != 0):

@@ -32,9 +32,9 @@ def arrays_of(model: MechanicalModel, sampling_time: float | None, hold: str, li
     """
     plant, _ = linear_plant(model, linear=linear)
     if sampling_time is None:
-        system, H = continuous_system(plant, model.dofs), None
+        system, H = continuous_system(plant, model.outputs), None
     else:
-        system, H = sampled_system(plant, model.dofs, sampling_time, hold)
+        system, H = sampled_system(plant, model.outputs, sampling_time, hold)
         H = np.asarray(H)
     names = coordinate_names(model, plant.mass.shape[0])
     states = (*names, *(f"d({name})/dt" for name in names))
@@ -42,8 +42,8 @@ def arrays_of(model: MechanicalModel, sampling_time: float | None, hold: str, li
 
 
 def coordinate_names(model: MechanicalModel, dofs: int) -> tuple[str, ...]:
-    """Coordinates bear the names of their outputs; those that no output measures are counted."""
-    return *model.output_names, *(f"unmeasured{k + 1}" for k in range(dofs - model.dofs))
+    """Coordinates bear the names of their outputs, hidden ones their own; those that effects add are counted."""
+    return *model.coordinates, *(f"unmeasured{k + 1}" for k in range(dofs - model.dofs))
 
 
 def linear_part(model: MechanicalModel) -> MechanicalModel:

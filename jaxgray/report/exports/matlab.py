@@ -35,6 +35,8 @@ def mat_file(model: MechanicalModel, name: str, *, sampling_time: float | None, 
         variables["input_map"] = np.asarray(plant.drive.input_map)
     for key in TEXTS:
         variables[key] = np.array(getattr(model, key), dtype=object)[:, None]
+    if model.hidden:
+        variables["coordinates"] = np.array(model.coordinates, dtype=object)[:, None]
     if sampling_time is not None:
         sampled = arrays_of(model, sampling_time, hold, linear)
         variables |= {f"{key}d": getattr(sampled, key) for key in "ABCDH"}

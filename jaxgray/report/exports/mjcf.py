@@ -154,7 +154,8 @@ def _bodies(
     lines = ["  <worldbody>\n"]
     for k, (name, joint) in enumerate(zip(names, joints)):
         # One kind for all in a tree: a hinge would turn the slides that follow.
-        kind = "hinge" if not nested and k < model.dofs and model.output_units[k] == "rad" else "slide"
+        turns = model.output_units[k] if k < model.outputs else ""
+        kind = "hinge" if not nested and turns == "rad" else "slide"
         size = _number(carried[k])
         lines.append(f"    <body name={quoteattr(name)}>\n")
         lines.append(f'      <inertial pos="0 0 0" mass="{size}" diaginertia="{size} {size} {size}"/>\n')

@@ -1,0 +1,11 @@
+"""Masses, springs and dampers between named coordinates: found from a transfer function, and whether they can be."""
+
+from .connections import Connected as Connected
+from .connections import Connections as Connections
+from .connections import fixed_elements as fixed_elements
+from .connections import is_connections as is_connections
+from .determinacy import Determinacy as Determinacy
+from .determinacy import determinacy as determinacy
+from .matching import matched as matched
+from .transfer import Family as Family
+from .transfer import realized_response as realized_response
