@@ -35,12 +35,12 @@ jax.config.update("jax_enable_x64", True)
 import frames  # noqa: E402
 
 import jaxgray  # noqa: E402
-from jaxgray.identification.normal import Criterion, Iterate, join, part  # noqa: E402
-from jaxgray.identification.prediction import Batch, Nuisance, Setting  # noqa: E402
-from jaxgray.identification.preparation import prepare, scaling_of  # noqa: E402
-from jaxgray.identification.refine import refine  # noqa: E402
-from jaxgray.identification.start import model_run, total_deviation  # noqa: E402
-from jaxgray.identification.structure import Structure  # noqa: E402
+from jaxgray.identification.initialization.start import model_run, total_deviation  # noqa: E402
+from jaxgray.identification.refinement.normal_equations import Criterion, Iterate, join, part  # noqa: E402
+from jaxgray.identification.refinement.refine import refine  # noqa: E402
+from jaxgray.identification.setup.prediction import Batch, Nuisance, Setting  # noqa: E402
+from jaxgray.identification.setup.preparation import prepare, scaling_of  # noqa: E402
+from jaxgray.identification.setup.structure import Structure  # noqa: E402
 from jaxgray.mechanics.drives import Force  # noqa: E402
 from jaxgray.mechanics.modal_uncertainty import modal_uncertainty  # noqa: E402
 

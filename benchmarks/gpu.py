@@ -25,13 +25,13 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import jaxgray  # noqa: E402
-from jaxgray.identification.compression import factors  # noqa: E402
-from jaxgray.identification.filter_bank import pole  # noqa: E402
-from jaxgray.identification.many_steps import One, refine_one  # noqa: E402
-from jaxgray.identification.options import drive_of  # noqa: E402
-from jaxgray.identification.prediction import Batch, Nuisance, Setting, free_run  # noqa: E402
-from jaxgray.identification.preparation import prepare, scaling_of  # noqa: E402
-from jaxgray.identification.structure import Structure  # noqa: E402
+from jaxgray.identification.batch.steps import One, refine_one  # noqa: E402
+from jaxgray.identification.setup.options import drive_of  # noqa: E402
+from jaxgray.identification.setup.prediction import Batch, Nuisance, Setting, free_run  # noqa: E402
+from jaxgray.identification.setup.preparation import prepare, scaling_of  # noqa: E402
+from jaxgray.identification.setup.structure import Structure  # noqa: E402
+from jaxgray.identification.subspace.compression import factors  # noqa: E402
+from jaxgray.identification.subspace.filter_bank import pole  # noqa: E402
 
 H = data.REFERENCE_TIME
 TIME_CONSTANTS, BLOCK_ROWS = 64, 10

@@ -30,12 +30,12 @@ jax.config.update("jax_enable_x64", True)
 import independent as data  # noqa: E402
 
 import jaxgray  # noqa: E402
-from jaxgray.identification.many import CHUNK_SAMPLES  # noqa: E402
-from jaxgray.identification.many_steps import One, refine_one  # noqa: E402
-from jaxgray.identification.prediction import Batch  # noqa: E402
-from jaxgray.identification.preparation import prepare  # noqa: E402
-from jaxgray.identification.refine import refine  # noqa: E402
-from jaxgray.identification.structure import structure_of  # noqa: E402
+from jaxgray.identification.batch.many import CHUNK_SAMPLES  # noqa: E402
+from jaxgray.identification.batch.steps import One, refine_one  # noqa: E402
+from jaxgray.identification.refinement.refine import refine  # noqa: E402
+from jaxgray.identification.setup.prediction import Batch  # noqa: E402
+from jaxgray.identification.setup.preparation import prepare  # noqa: E402
+from jaxgray.identification.setup.structure import structure_of  # noqa: E402
 
 H = 4 * data.REFERENCE_TIME
 OPTIONS = {"time_constants": 0.1, "block_rows": 6}

@@ -29,10 +29,10 @@ jax.config.update("jax_enable_x64", True)
 import independent as data  # noqa: E402
 
 import jaxgray  # noqa: E402
-from jaxgray.identification.normal import Criterion, Iterate, join, part, sensitivities  # noqa: E402
-from jaxgray.identification.prediction import Batch, free_run  # noqa: E402
-from jaxgray.identification.preparation import prepare  # noqa: E402
-from jaxgray.identification.refine import refine  # noqa: E402
+from jaxgray.identification.refinement.normal_equations import Criterion, Iterate, join, part, sensitivities  # noqa: E402
+from jaxgray.identification.refinement.refine import refine  # noqa: E402
+from jaxgray.identification.setup.prediction import Batch, free_run  # noqa: E402
+from jaxgray.identification.setup.preparation import prepare  # noqa: E402
 
 H = data.REFERENCE_TIME
 TRUTH = tuple(data.REFERENCE.values())

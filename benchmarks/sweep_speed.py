@@ -28,14 +28,14 @@ jax.config.update("jax_enable_x64", True)
 import independent as data  # noqa: E402
 
 import jaxgray  # noqa: E402
-from jaxgray.identification.compression import factors  # noqa: E402
-from jaxgray.identification.filter_bank import pole  # noqa: E402
-from jaxgray.identification.physical_grid import physical_grid  # noqa: E402
-from jaxgray.identification.prediction import Setting  # noqa: E402
-from jaxgray.identification.preparation import prepare, scaling_of  # noqa: E402
-from jaxgray.identification.projection import MOESP  # noqa: E402
-from jaxgray.identification.realization import ExactMap  # noqa: E402
-from jaxgray.identification.sweep import candidates, record_factors  # noqa: E402
+from jaxgray.identification.initialization.physical_grid import physical_grid  # noqa: E402
+from jaxgray.identification.setup.prediction import Setting  # noqa: E402
+from jaxgray.identification.setup.preparation import prepare, scaling_of  # noqa: E402
+from jaxgray.identification.subspace.compression import factors  # noqa: E402
+from jaxgray.identification.subspace.filter_bank import pole  # noqa: E402
+from jaxgray.identification.subspace.grid import candidates, record_factors  # noqa: E402
+from jaxgray.identification.subspace.projection import MOESP  # noqa: E402
+from jaxgray.identification.subspace.realization import ExactMap  # noqa: E402
 from jaxgray.mechanics.drives import Force  # noqa: E402
 
 H = data.REFERENCE_TIME

@@ -10,7 +10,7 @@ from .demonstration_effects import NOISE, SAMPLES, SAMPLING_TIME, TRUTH, Hidden,
 from .diagnosis.diagnose import diagnose
 from .diagnosis.result import Diagnosis
 from .diagnosis.words.titles import title_of, value_text
-from .identification.validation import fit_of
+from .identification.validation.residuals import fit_of
 from .numerics.progress import AbstractProgress
 from .numerics.text import plus_minus
 from .records import Record

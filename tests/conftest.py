@@ -35,12 +35,12 @@ gc.set_threshold(50_000, 20, 20)
 from shaking import shake_if_asked  # noqa: E402
 
 from jaxgray.diagnosis.model import compile_ahead  # noqa: E402
-from jaxgray.identification import compression  # noqa: E402
+from jaxgray.identification.setup import padding  # noqa: E402
 from jaxgray.numerics.stored_programs import FOLDER  # noqa: E402
 
 shake_if_asked()
 # Records of 3000 and of 4000 samples share what is compiled.
-compression.LEAST_STEP = 2
+padding.LEAST_STEP = 2
 # Both cores have work: what is compiled ahead, and then not needed, would take it from the other worker.
 compile_ahead.cores = lambda: 1
 

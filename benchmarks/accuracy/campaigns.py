@@ -4,7 +4,7 @@ import numpy as np
 import scipy.stats
 
 import jaxgray
-from jaxgray.identification.structure_test import SIGNIFICANCE
+from jaxgray.identification.validation.structure_test import SIGNIFICANCE
 
 from .common import TRUTH, data, in_children, show
 

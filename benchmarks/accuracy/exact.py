@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxgray
-from jaxgray.identification.filter_bank import pole
-from jaxgray.identification.input_matrix import fit_to_factor, fit_to_record, unit_drives
-from jaxgray.identification.options import drive_of
-from jaxgray.identification.prediction import Setting
-from jaxgray.identification.preparation import prepare, scaling_of
-from jaxgray.identification.projection import WEIGHTS, arrange, project
-from jaxgray.identification.realization import ExactMap, realize
-from jaxgray.identification.start import physical_model
-from jaxgray.identification.sweep import record_factors
+from jaxgray.identification.initialization.start import physical_model
+from jaxgray.identification.setup.options import drive_of
+from jaxgray.identification.setup.prediction import Setting
+from jaxgray.identification.setup.preparation import prepare, scaling_of
+from jaxgray.identification.subspace.filter_bank import pole
+from jaxgray.identification.subspace.grid import record_factors
+from jaxgray.identification.subspace.input_matrix import fit_to_factor, fit_to_record, unit_drives
+from jaxgray.identification.subspace.projection import WEIGHTS, arrange, project
+from jaxgray.identification.subspace.realization import ExactMap, realize
 
 from .common import data, in_children
 

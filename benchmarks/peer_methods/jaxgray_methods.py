@@ -12,13 +12,13 @@ import numpy as np  # noqa: E402
 from physical import GUESS  # noqa: E402
 
 import jaxgray  # noqa: E402
-from jaxgray.identification.options import drive_of  # noqa: E402
-from jaxgray.identification.prediction import Batch, Setting  # noqa: E402
-from jaxgray.identification.preparation import prepare, scaling_of  # noqa: E402
-from jaxgray.identification.projection import MOESP  # noqa: E402
-from jaxgray.identification.realization import ExactMap  # noqa: E402
-from jaxgray.identification.refine import refine  # noqa: E402
-from jaxgray.identification.start import StartOptions, subspace_starts  # noqa: E402
+from jaxgray.identification.initialization.start import StartOptions, subspace_starts  # noqa: E402
+from jaxgray.identification.refinement.refine import refine  # noqa: E402
+from jaxgray.identification.setup.options import drive_of  # noqa: E402
+from jaxgray.identification.setup.prediction import Batch, Setting  # noqa: E402
+from jaxgray.identification.setup.preparation import prepare, scaling_of  # noqa: E402
+from jaxgray.identification.subspace.projection import MOESP  # noqa: E402
+from jaxgray.identification.subspace.realization import ExactMap  # noqa: E402
 from jaxgray.numerics.runtime import ready  # noqa: E402
 
 warnings.simplefilter("ignore", jaxgray.RecordWarning)

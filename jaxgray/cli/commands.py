@@ -139,7 +139,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
         from .environment import prepare
 
         prepare(verbose=talk.verbose)
-        from ..identification.validation import fit_of
+        from ..identification.validation.residuals import fit_of
         from ..mechanics.fitted_run import fitted_run
         from ..report import export, summary
         from ..report.columns import columns_text, simulation_columns

@@ -88,7 +88,7 @@ def own_model(path: Path, record: Record, excitation: Excitation):
     """
     import dataclasses
 
-    from ..identification.options import drive_of
+    from ..identification.setup.options import drive_of
     from ..mechanics.abstract_model import effect_names
     from ..mechanics.linear import corrected
     from ..report import export

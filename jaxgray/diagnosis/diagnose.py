@@ -7,7 +7,7 @@ import difflib
 import numpy as np
 
 from ..identification import Identification
-from ..identification.structure_test import StructureTest
+from ..identification.validation.structure_test import StructureTest
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..mechanics.model import MechanicalModel

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..identification import Identification, identify
-from ..identification.options import drive_by
+from ..identification.setup.options import drive_by
 from ..mechanics.drives import AbstractDrive, Force
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..numerics.outcomes import RESULTS, ComputationError

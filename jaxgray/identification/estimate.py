@@ -17,17 +17,18 @@ from ..numerics.lifting import respond_many
 from ..numerics.positive import ProjectedGradientSolver
 from ..numerics.runtime import ready
 from ..numerics.stored_programs import stored
-from .compression import factor_of_gram, factor_of_rows
-from .filter_bank import cascade, pole
 from .hidden import canonical_structure, fitted_input, input_basis, realized_order, traced_canonical
-from .input_matrix import fit_to_factor, fit_to_record, unit_drives
-from .options import pick
-from .physical import Scaling, from_inverse_mass, input_matrix, jointly
-from .prediction import Batch, Setting
-from .preparation import Signals
-from .projection import WEIGHTS, AbstractWeight, arrange, project
-from .realization import MAPS, AbstractMap, realize
-from .refine_traced import gauss_newton
+from .refinement.refine_traced import gauss_newton
+from .setup.options import pick
+from .setup.prediction import Batch, Setting
+from .setup.preparation import Signals
+from .setup.units import Scaling
+from .subspace.compression import factor_of_gram, factor_of_rows
+from .subspace.filter_bank import cascade, pole
+from .subspace.input_matrix import fit_to_factor, fit_to_record, unit_drives
+from .subspace.physical import from_inverse_mass, input_matrix, jointly
+from .subspace.projection import WEIGHTS, AbstractWeight, arrange, project
+from .subspace.realization import MAPS, AbstractMap, realize
 
 
 class Estimate(eqx.Module):

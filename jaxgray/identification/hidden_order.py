@@ -12,7 +12,7 @@ from ..records import Record
 from .hidden import HiddenEvidence, OrderEvidence, OrderStep, canonical_gauge
 from .identify_hidden import HiddenRequest, identify_hidden
 from .result import Identification
-from .structure_test import ar_by_bic
+from .validation.structure_test import ar_by_bic
 
 MIN_DELTA_BIC = 10.0
 """Fall of BIC that one more hidden coordinate must bring."""

@@ -11,26 +11,26 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import rarely_collecting, ready, relieve
 from ..records import Record, check_compatible, preflight
-from .base_start import MassKnowledge
-from .guard import lost
 from .hidden_order import identify_auto
 from .identify_hidden import HiddenRequest, identify_hidden, wants_hidden
-from .options import drive_of, fixed_entries, parse_fix, pick, with_known
-from .prediction import Batch, Setting
-from .preparation import Signals, prepare, scaling_of
-from .prior import mass_prior
-from .projection import WEIGHTS
-from .reach import check_reach
-from .realization import MAPS
-from .refine import Refinement, start_kept
-from .refine import refine as refine_model
+from .initialization.base_start import MassKnowledge
+from .initialization.guard import lost
+from .initialization.rigid import DRIFT, TURNED, phases, rigid_modes, windows, without_stiffness
+from .initialization.selection import other_starts, starts_of
+from .initialization.start import Start, StartOptions, filled, model_run, nearest_physical, total_deviation
+from .refinement.prior import mass_prior
+from .refinement.refine import Refinement, start_kept
+from .refinement.refine import refine as refine_model
+from .refinement.structured_start import is_relaxed, refine_structured, relaxed
 from .result import Identification, assess
-from .rigid import DRIFT, TURNED, phases, rigid_modes, windows, without_stiffness
-from .start import Start, StartOptions, filled, model_run, nearest_physical, total_deviation
-from .starts import other_starts, starts_of
-from .structure import Structure, structure_of
-from .structured_start import is_relaxed, refine_structured, relaxed
-from .sweep import default_time_constants, score, usable_block_rows
+from .setup.options import drive_of, fixed_entries, parse_fix, pick, with_known
+from .setup.prediction import Batch, Setting
+from .setup.preparation import Signals, prepare, scaling_of
+from .setup.structure import Structure, structure_of
+from .subspace.grid import default_time_constants, score, usable_block_rows
+from .subspace.projection import WEIGHTS
+from .subspace.realization import MAPS
+from .validation.reach import check_reach
 
 MOST_STARTS = 3
 

@@ -14,10 +14,9 @@ from ..numerics.linear_algebra import triangle
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress
 from ..records import Record
-from .guard import lost
 from .hidden import (
-    Connections,
     MEMORIES,
+    Connections,
     Determinacy,
     Element,
     Family,
@@ -38,20 +37,21 @@ from .hidden import (
     realizations,
     realized_response,
 )
-from .normal import join
-from .options import drive_of, pick
-from .physical import Scaling
-from .prediction import Batch, Setting, best_run
-from .preparation import Signals, prepare, scaling_of
-from .projection import WEIGHTS
-from .reach import check_reach
-from .realization import MAPS
-from .refine import Refinement, StructurePrice, refine, start_kept
+from .initialization.guard import lost
+from .initialization.rigid import DRIFT, TURNED, phases, rigid_modes, windows
+from .initialization.start import Start, filled, total_deviation
+from .refinement.normal_equations import join
+from .refinement.refine import Refinement, StructurePrice, refine, start_kept
 from .result import Identification, assess
-from .rigid import DRIFT, TURNED, phases, rigid_modes, windows
-from .start import Start, filled, total_deviation
-from .structure import Structure
-from .sweep import default_time_constants, score
+from .setup.options import drive_of, pick
+from .setup.prediction import Batch, Setting, best_run
+from .setup.preparation import Signals, prepare, scaling_of
+from .setup.structure import Structure
+from .setup.units import Scaling
+from .subspace.grid import default_time_constants, score
+from .subspace.projection import WEIGHTS
+from .subspace.realization import MAPS
+from .validation.reach import check_reach
 
 MOST_REALIZATIONS = 4
 """Realisations, the best first, that are turned into starting models."""
@@ -522,7 +522,8 @@ def _assessed(task: _Task, model, start, refinement, form, held, notes, evidence
     if evidence.rank < evidence.parameters or evidence.alternatives:
         extra = tuple(evidence.sentences())
     extra += tuple(
-        f"{name} ends at zero, the edge of what is physical; its error bar is one-sided." for name in _at_zero(model, task)
+        f"{name} ends at zero, the edge of what is physical; its error bar is one-sided."
+        for name in _at_zero(model, task)
     )
     result = assess(
         model,
@@ -601,5 +602,3 @@ def _elements(result: Identification, connections: Connections, outcome: Determi
         error = None if errors is None or not determined else float(errors[k])
         found.append(Element(name, float(values[k]) if determined else None, error, bool(held[k])))
     return tuple(found)
-
-

@@ -13,24 +13,17 @@ from ..numerics.outcomes import RESULTS
 from ..numerics.text import entry_text
 from ..records import Record
 from .hidden.evidence import HiddenEvidence
-from .normal import Criterion, Iterate, sensitivities, without_noise
-from .physical import Scaling
-from .prediction import Batch, Setting
-from .preparation import Signals, prepare
-from .prior import left_open
-from .refine import Refinement
-from .start import Start, model_run
-from .structure import Structure
-from .structure_test import StructureTest, structure_test
-from .uncertainty import Uncertainty, uncertainty
-from .validation import (
-    Fit,
-    ResidualTest,
-    fit_of,
-    information_criteria,
-    noise_floor,
-    residual_test,
-)
+from .initialization.start import Start, model_run
+from .refinement.normal_equations import Criterion, Iterate, sensitivities, without_noise
+from .refinement.prior import left_open
+from .refinement.refine import Refinement
+from .refinement.uncertainty import Uncertainty, uncertainty
+from .setup.prediction import Batch, Setting
+from .setup.preparation import Signals, prepare
+from .setup.structure import Structure
+from .setup.units import Scaling
+from .validation.residuals import Fit, ResidualTest, fit_of, information_criteria, noise_floor, residual_test
+from .validation.structure_test import StructureTest, structure_test
 
 CONTRADICTED = 10.0
 """ΔBIC of a structure over free M, D, K from which the record contradicts it."""

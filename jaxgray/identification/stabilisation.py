@@ -12,12 +12,12 @@ from ..numerics.linear_algebra import least_squares
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.runtime import ready
 from ..records import Record
-from .filter_bank import pole
-from .options import pick
-from .preparation import prepare, scaling_of
-from .projection import WEIGHTS, AbstractWeight, Data, arrange, project
-from .start import filled
-from .sweep import default_time_constants, record_factors, usable_block_rows
+from .initialization.start import filled
+from .setup.options import pick
+from .setup.preparation import prepare, scaling_of
+from .subspace.filter_bank import pole
+from .subspace.grid import default_time_constants, record_factors, usable_block_rows
+from .subspace.projection import WEIGHTS, AbstractWeight, Data, arrange, project
 
 HIGHEST = 20
 """Highest order by default."""

@@ -18,18 +18,18 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.runtime import give_back, ready
 from ..records import Record
 from ..records.chunks import CHUNK_SAMPLES, read_chunks
-from .compression import RANK_TOLERANCE, combine, factor_of_gram
-from .correlation import LAG_BLOCK, Moments, add_samples, gram, no_moments
-from .filter_bank import pole
-from .options import drive_of
-from .physical import Scaling
-from .physical_grid import physical_grid
-from .prediction import Setting
-from .preparation import prepare, scaling_of
-from .projection import MOESP
-from .realization import ExactMap
-from .start import StartOptions, subspace_starts
-from .sweep import candidates, default_time_constants, usable_block_rows
+from .initialization.physical_grid import physical_grid
+from .initialization.start import StartOptions, subspace_starts
+from .setup.options import drive_of
+from .setup.prediction import Setting
+from .setup.preparation import prepare, scaling_of
+from .setup.units import Scaling
+from .subspace.compression import RANK_TOLERANCE, combine, factor_of_gram
+from .subspace.correlation import LAG_BLOCK, Moments, add_samples, gram, no_moments
+from .subspace.filter_bank import pole
+from .subspace.grid import candidates, default_time_constants, usable_block_rows
+from .subspace.projection import MOESP
+from .subspace.realization import ExactMap
 
 STEP = 2**14
 """Samples taken at a time out of a chunk: what the correlations need in passing stays small."""

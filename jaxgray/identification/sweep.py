@@ -1,204 +1,279 @@
-"""Time constant τ × block rows i: every choice from one factor per τ, scored by free-run simulation."""
+"""The table over time constant τ × block rows i: what the subspace start alone makes of every choice."""
 
-import equinox as eqx
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Bool, Float, Int
 
-from ..mechanics.drives import AbstractDrive, Force
-from ..mechanics.statespace import StateSpace, sampled
-from ..numerics.namespace import namespace
-from ..numerics.stored_programs import ONCE, stored
-from ..records import Record
-from .compression import RANK_TOLERANCE, combine, factors
-from .input_matrix import InputFit, fit_to_factor, unit_drives
-from .physical import input_matrix
-from .prediction import best_run
-from .preparation import Signals
-from .projection import AbstractWeight, arrange, project
-from .realization import AbstractMap, Realization, realize
+from ..numerics.notebook import Shown
+from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.progress import AbstractProgress, Silent
+from ..numerics.runtime import ready
+from ..records import Record, check_compatible
+from .initialization.physical_grid import physical_grid
+from .initialization.start import filled, model_run
+from .setup.options import drive_of, pick
+from .setup.prediction import Setting
+from .setup.preparation import Signals, prepare, scaling_of
+from .setup.units import Scaling
+from .subspace.filter_bank import pole
+from .subspace.grid import candidates, default_time_constants, record_factors, usable_block_rows
+from .subspace.projection import WEIGHTS
+from .subspace.realization import MAPS
 
-DEFAULT_BLOCK_ROWS = (4, 6, 8, 10)
-DEFAULT_TIME_CONSTANTS = 10
+SPACINGS = ("logarithmic", "linear")
+DEFAULT_COUNT = 10
+GROWTH = 30.0
+"""Logarithm of what a realised model may grow by over the record before it counts as unstable."""
 
 
-class Candidate(eqx.Module):
-    """One start: the realisation, the least squares for B₂, and how far its free run is from the record.
+@dataclass(frozen=True, eq=False)
+class Sweep(Shown):
+    """The subspace start for every time constant τ × block rows i, judged by free-run simulation.
 
-    `deviation`: mean square of the free-run residual per output, scaled outputs; not finite where the
-    simulation is unstable.
+    `time_constants` [s], `block_rows`: the axes; `fit_percent` and, with held-out records,
+    `validation_fit_percent`: τ × i × outputs, NaN where a choice gives no stable model; `mass`, `damping`,
+    `stiffness`: τ × i × dofs × dofs in the record's units, NaN likewise; `unstable`: how many choices realise
+    a model that grows without bound; `failed`: how many gave no model at all; `output_names`.
     """
 
-    realization: Realization
-    fit: InputFit
-    deviation: Float[Array, " outputs"]
+    time_constants: Float[np.ndarray, " time_constants"]
+    block_rows: Int[np.ndarray, " choices"]
+    fit_percent: Float[np.ndarray, "time_constants choices outputs"]
+    validation_fit_percent: Float[np.ndarray, "time_constants choices outputs"] | None
+    mass: Float[np.ndarray, "time_constants choices dofs dofs"]
+    damping: Float[np.ndarray, "time_constants choices dofs dofs"]
+    stiffness: Float[np.ndarray, "time_constants choices dofs dofs"]
+    unstable: int
+    failed: int
+    output_names: tuple[str, ...]
+
+    @property
+    def judged_by(self) -> Float[np.ndarray, "time_constants choices outputs"]:
+        """The fit that decides: held out where there is such a record."""
+        return self.fit_percent if self.validation_fit_percent is None else self.validation_fit_percent
+
+    @property
+    def best_index(self) -> tuple[int, int]:
+        """Place (τ, i) of the best choice: least sum over outputs of ln(100 − fit)."""
+        left = np.sum(np.log(np.maximum(100.0 - self.judged_by, 1e-12)), axis=2)
+        row, column = np.unravel_index(np.nanargmin(left), left.shape)
+        return int(row), int(column)
+
+    @property
+    def best(self) -> dict:
+        """The best choice: `time_constant`, `block_rows`, the fits, and `mass`, `damping`, `stiffness`."""
+        k = self.best_index
+        return {
+            "time_constant": float(self.time_constants[k[0]]),
+            "block_rows": int(self.block_rows[k[1]]),
+            "fit_percent": self.fit_percent[k],
+            "validation_fit_percent": None if self.validation_fit_percent is None else self.validation_fit_percent[k],
+            "mass": self.mass[k],
+            "damping": self.damping[k],
+            "stiffness": self.stiffness[k],
+        }
+
+    def __repr__(self) -> str:
+        where = "estimation" if self.validation_fit_percent is None else "held-out"
+        worst = np.min(self.judged_by, axis=2)
+        head = ["τ [s]", *(f"i = {i}" for i in self.block_rows)]
+        rows = [
+            [f"{tau:.4g}", *("–" if np.isnan(v) else f"{v:.2f}" for v in line)]
+            for tau, line in zip(self.time_constants, worst)
+        ]
+        row, column = self.best_index
+        rows[row][column + 1] += "*"
+        width = [max(len(line[k]) for line in [head, *rows]) for k in range(len(head))]
+        lines = ["  ".join(text.rjust(w) for text, w in zip(line, width)) for line in [head, *rows]]
+        best = self.best
+        return "\n".join(
+            [
+                f"Sweep: fit on the {where} record in %, worst output of {', '.join(self.output_names)}",
+                *("  " + line for line in lines),
+                f"  best (*): τ = {best['time_constant']:.4g} s, i = {best['block_rows']}; {self.missing}",
+            ]
+        )
+
+    @property
+    def missing(self) -> str:
+        """How many choices gave no usable model, in words."""
+        cells = len(self.time_constants) * len(self.block_rows)
+        return f"{self.unstable} of {cells} choices unstable, {self.failed} without a model"
 
 
-def default_time_constants(record: Record, count: int = DEFAULT_TIME_CONSTANTS) -> Float[np.ndarray, " time_constants"]:
-    """Logarithmic grid of τ [s], from two samples to the slowest motion that the record shows.
-
-    The slowest motion is taken from the outputs' spectra: the frequency below which half of the power lies,
-    but no slower than a twentieth of the record.
-
-    **Arguments:** `record`; `count`: how many.
-
-    **Returns:** τ, ascending.
-    """
-    y = np.nan_to_num(record.y - np.nanmean(record.y, axis=0))
-    power = np.abs(np.fft.rfft(y * np.hanning(len(y))[:, None], axis=0)) ** 2
-    power = np.cumsum(np.mean(power / np.sum(power, axis=0), axis=1))
-    line = max(1, int(np.searchsorted(power, 0.5)))
-    slowest = len(y) * record.sampling_time / (2 * np.pi * line)
-    low = 2 * record.sampling_time
-    high = np.clip(slowest, 20 * record.sampling_time, record.duration / 20)
-    return np.geomspace(low, max(high, 2 * low), count)
-
-
-def record_factors(
-    signals: list[Signals], poles: Float[Array, " time_constants"], block_rows: int
-) -> tuple[Float[Array, "time_constants columns columns"], bool]:
-    """Factors of one or several records for every pole.
-
-    Where the rows are dependent for most poles (hardly any noise), all are done by Householder QR. Where only a
-    few poles make them so, these poles are far off: their factors are not a number, and they are passed over.
-
-    **Returns:** the factors, and whether Householder QR was used.
-    """
-    inputs = signals[0].u.shape[1]
-
-    def parts_by(householder: bool):
-        options = {"inputs": inputs, "block_rows": block_rows, "householder": householder}
-        return [_factors(poles, s.u, s.y, np.asarray(s.samples), **options) for s in signals]
-
-    parts = parts_by(householder=False)
-    usable = np.all([np.asarray(pivot) > RANK_TOLERANCE for _, pivot in parts], axis=0)
-    householder = bool(np.sum(usable) <= len(usable) / 2)
-    if householder:
-        parts = parts_by(householder=True)
-        usable[:] = True
-    return _combined([factor for factor, _ in parts], usable, inputs, block_rows), householder
-
-
-@stored
-def _factors(poles, u, y, samples, **options):
-    inside = (jnp.arange(len(u)) < samples).astype(u.dtype)
-    return factors(poles, jnp.concatenate([u, y], axis=1), inside, **options)
-
-
-@stored(level=ONCE)
-def _combined(parts, usable, inputs, block_rows):
-    grid = jax.vmap(lambda several: combine(several, inputs, block_rows))(jnp.stack(parts, axis=1))
-    return jnp.where(usable[:, None, None], grid, jnp.nan)
-
-
-def candidate(
-    factor: Float[Array, "columns columns"],
-    a: Float[Array, ""],
-    block_rows: Float[Array, ""],
-    signals: Signals | None,
-    **static,
-) -> Candidate:
-    """Realisation, input matrix and free-run deviation (best first state and offsets) of one (τ, i), in traced code.
-
-    **Arguments:** `signals`: what the free run is held against, or None for none; the rest as for `realized`.
-
-    **Returns:** a `Candidate`.
-    """
-    found, system = realized(factor, a, block_rows, **static)
-    return found if signals is None else with_deviation(found, best_run(system, signals)[1])
-
-
-def with_deviation(found: Candidate, deviation) -> Candidate:
-    """A candidate with how far its free run is from the record."""
-    return Candidate(found.realization, found.fit, deviation)
-
-
-def realized(
-    factor: Float[Array, "columns columns"],
-    a: Float[Array, ""],
-    block_rows: Float[Array, ""],
+def sweep(
+    record: Record | list[Record],
+    time_constants=None,
+    block_rows=None,
     *,
-    inputs: int,
-    padded: int,
-    weight: AbstractWeight,
-    map: AbstractMap,
-    measured: tuple[str, ...],
-    hold: str,
-    householder: bool,
-    base: AbstractDrive | None = None,
-) -> tuple[Candidate, StateSpace]:
-    """Realisation and input matrix of one (τ, i), in traced code.
+    validation: Record | list[Record] | None = None,
+    spacing: str = "logarithmic",
+    weight="moesp",
+    map="exact",
+    excitation: str = "force",
+    input_map=None,
+    relative: bool = False,
+    progress: AbstractProgress | None = None,
+) -> Sweep:
+    """Every time constant × block rows from one factor per time constant, without refinement.
 
-    **Arguments:** `factor` of the record; `a`: filter pole; `block_rows`: i ≤ `padded`; `base`: the scaled drive where
-    it is the motion of the base, whose response follows from M⁻¹D and M⁻¹K alone; the rest static.
+    **Arguments:**
 
-    **Returns:** a `Candidate` whose free run is still to be made, and the system to make it with.
+    - `record`: one record, or several of the same system.
+    - `time_constants`: τ [s], one or several; default ten from the record.
+    - `block_rows`: i, one or several; default 4, 6, 8, 10 as the record allows.
+    - `validation`: records that are simulated but not used; default none.
+    - `spacing`: of the default time constants, "logarithmic" (default) or "linear" (the paper's search).
+    - `weight`: "moesp" (default), "n4sid", "cva", "past-inputs", or a weight object.
+    - `map`: "exact" (default) or "paper", from the λ-operator to continuous time.
+    - `excitation`, `input_map`, `relative`: as for `identify`.
+    - `progress`: told of every stage; silent by default.
+
+    **Returns:** a `Sweep`.
+
+    **Raises:** `ValueError` for arguments or data that cannot serve; `ComputationError` when no choice gives
+    a stable model.
+
+    **Reference:** Olofsson et al., section on the choice of λ-parameters.
     """
-    data = arrange(factor, a, block_rows, inputs, padded)
-    projections = project(data, weight, 2 * len(measured), householder=householder)
-    realization = realize(projections, a, measured, map)
-    drives = unit_drives(realization, measured, hold)
-    fit = fit_to_factor(drives, data)
-    B2 = input_matrix(fit).reshape(len(measured), inputs)
-    Ad, Bd, C, Dd = drives
-    found = Candidate(realization, fit, jnp.full(len(measured), jnp.nan))
-    if base is not None:
-        continuous = base.state_space(jnp.eye(len(measured)), -realization.A22, -realization.A21, measured, 1.0)
-        return found, sampled(continuous, 1.0, hold)
-    return found, StateSpace(Ad, Bd @ B2, C, Dd @ B2)
+    ready()
+    progress = Silent() if progress is None else progress
+    records = [record] if isinstance(record, Record) else list(record)
+    held_out = [validation] if isinstance(validation, Record) else list(validation or [])
+    check_compatible(records + held_out)
+    weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
+    drive = drive_of(records[0], excitation, input_map, relative)
+    longest = max(records, key=lambda r: r.samples)
+    taus = _time_constants(time_constants, spacing, longest)
+    rows = _block_rows(block_rows, longest)
+
+    progress.stage("preparing")
+    scaling = scaling_of(records)
+    setting = Setting(
+        drive.scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time),
+        records[0].measured,
+        records[0].hold,
+    )
+    signals = [prepare(r, scaling) for r in records]
+    unseen = [prepare(r, scaling) for r in held_out]
+    complete = filled(records, scaling, None) if any(r.has_missing for r in records) else signals
+
+    def table(data: list[Signals]):
+        progress.stage("compressing")
+        poles = pole(jnp.asarray(taus), scaling.sampling_time)
+        factor_grid, householder = record_factors(data, poles, max(rows))
+        progress.stage("realising")
+        found = candidates(
+            factor_grid,
+            poles,
+            jnp.asarray(rows, float),
+            None,
+            inputs=longest.inputs,
+            padded=max(rows),
+            weight=weight,
+            map=map,
+            measured=setting.measured,
+            hold=setting.hold,
+            householder=householder,
+        )
+        progress.stage("simulating")
+        return _cells(found, setting, signals)
+
+    matrices, deviation, failed = table(complete)
+    if complete is not signals and np.isfinite(deviation).any():
+        # Gaps filled by the best model's own run leave less of the interpolation in the second table.
+        k = np.unravel_index(np.nanargmin(np.sum(np.log(deviation), axis=2)), failed.shape)
+        best = tuple(jnp.asarray(X[k]) for X in matrices)
+        runs = [model_run(best, setting, s)[0] for s in complete]
+        matrices, deviation, failed = table(filled(records, scaling, runs))
+    if not np.isfinite(deviation).any():
+        raise ComputationError(RESULTS.unstable_start, stage="sweep")
+
+    stable = np.isfinite(deviation).all(axis=2)
+    apart = _deviations(matrices, stable, setting, unseen) if unseen else None
+    return Sweep(
+        taus,
+        np.array(rows),
+        _fit_percent(deviation, records, scaling),
+        _fit_percent(apart, held_out, scaling) if unseen else None,
+        *_physical(matrices, deviation, scaling),
+        int(np.sum(~np.isfinite(deviation).all(axis=2) & ~failed)),
+        int(np.sum(failed)),
+        records[0].output_names,
+    )
 
 
-@stored
-def _over_block_rows(factor_grid, poles, k, block_rows, **static):
-    return jax.vmap(lambda i: realized(factor_grid[k], poles[k], i, **static))(block_rows)
+def _time_constants(given, spacing: str, record: Record) -> Float[np.ndarray, " time_constants"]:
+    if spacing not in SPACINGS:
+        raise ValueError(f"spacing={spacing!r} is not known; choose from {', '.join(SPACINGS)}.")
+    if given is None:
+        grid = default_time_constants(record, DEFAULT_COUNT)
+        return grid if spacing == "logarithmic" else np.linspace(grid[0], grid[-1], DEFAULT_COUNT)
+    grid = np.unique(np.atleast_1d(np.asarray(given, dtype=float)))
+    if grid.size == 0 or not np.all(np.isfinite(grid)) or np.any(grid <= 0):
+        raise ValueError(f"time_constants={given} must be positive; give one number or several, in s.")
+    return grid
 
 
-# Apart, so that a record of another length does not compile the realisations again.
-@stored
-def _deviations(systems, signals):
-    return jax.vmap(lambda system: best_run(system, signals)[1])(systems)
+def _block_rows(given, record: Record) -> tuple[int, ...]:
+    rows = np.unique(np.atleast_1d(np.asarray(usable_block_rows(record) if given is None else given)))
+    if rows.size == 0 or np.any(rows != np.round(rows)) or np.any(rows < 3):
+        raise ValueError(f"block_rows={given} must be whole numbers of at least 3.")
+    most = int(np.max(rows))
+    columns = 2 * most * (record.inputs + record.outputs + 1)
+    if record.samples <= columns:
+        raise ComputationError(
+            RESULTS.too_short,
+            stage="sweep",
+            detail=f"{record.samples} samples for {most} block rows, which need more than {columns}",
+        )
+    return tuple(int(i) for i in rows)
 
 
-def candidates(
-    factor_grid: Float[Array, "time_constants columns columns"],
-    poles: Float[Array, " time_constants"],
-    block_rows: Float[Array, " choices"],
-    signals: Signals | None,
-    **static,
-) -> Candidate:
-    """`candidate` over the grid τ × i, on the host; the leading axes of the result are the grid's.
-
-    Two compiled programs serve every τ, the second started when the first has ended. The loop over τ stays on the host,
-    one after the other: a traced loop gains nothing, and two programs with batches of small decompositions at once can
-    wait for each other's threads without end (see `numerics.backend`).
-    """
-
-    def at(k):
-        found, systems = jax.block_until_ready(_over_block_rows(factor_grid, poles, k, block_rows, **static))
-        return jax.device_get(found if signals is None else with_deviation(found, _deviations(systems, signals)))
-
-    return jax.tree_util.tree_map(lambda *parts: np.stack(parts), *(at(np.asarray(k)) for k in range(len(poles))))
+def _cells(
+    found, setting: Setting, signals: list[Signals]
+) -> tuple[tuple, Float[np.ndarray, "time_constants choices outputs"], Bool[np.ndarray, "time_constants choices"]]:
+    """Physical matrices of every choice, the free-run deviation, and where there is no model at all."""
+    matrices, usable, _ = physical_grid(found, setting)
+    system = np.asarray(jax.vmap(jax.vmap(lambda realization: realization.A))(found.realization))
+    rates = np.linalg.eigvals(np.where(usable[:, :, None, None], system, 0.0)).real.max(axis=2)
+    tame = usable & (rates * max(s.samples for s in signals) <= GROWTH)
+    return matrices, _deviations(matrices, tame, setting, signals), ~usable
 
 
-def score(deviation: Float[Array, "*grid outputs"]) -> Float[Array, "*grid"]:
-    """−½ Σ ln deviation over outputs: the likelihood of the free run; −∞ where it is unstable."""
-    xp = namespace(deviation)
-    value = -0.5 * xp.sum(xp.log(xp.maximum(deviation, 1e-300)), axis=-1)
-    return xp.where(xp.all(xp.isfinite(deviation), axis=-1), value, -xp.inf)
+@jax.jit
+def _runs(matrices, setting: Setting, signals: Signals):
+    """Mean square free-run residual per output of every model, one after the other."""
+    return jax.lax.map(lambda one: model_run(one, setting, signals)[1], matrices)
 
 
-def usable_block_rows(record: Record, choices=DEFAULT_BLOCK_ROWS) -> tuple[int, ...]:
-    """The choices that the number of outputs needs and the record's length allows."""
-    outputs, inputs = record.outputs, record.inputs
-    least = 3
-    most = max(least, (record.samples // 3) // (2 * (inputs + outputs) + 2))
-    return tuple(sorted({int(np.clip(i, least, most)) for i in choices}))
+def _deviations(
+    matrices: tuple, judged: Bool[np.ndarray, "time_constants choices"], setting: Setting, signals: list[Signals]
+) -> Float[np.ndarray, "time_constants choices outputs"]:
+    """Mean square free-run residual over all records where `judged`, not a number elsewhere or where not finite."""
+    # The others are run too, as any model that is fine: one size, one compilation.
+    first = tuple(np.argwhere(judged)[0]) if judged.any() else (0, 0)
+    stacked = tuple(
+        jnp.asarray(np.where(judged[:, :, None, None], X, X[first]).reshape(-1, *X.shape[2:])) for X in matrices
+    )
+    weights = [np.asarray(jnp.sum(s.kept, axis=0)) for s in signals]
+    total = np.sum([np.asarray(_runs(stacked, setting, s)) * w for s, w in zip(signals, weights)], axis=0)
+    table = (total / np.sum(weights, axis=0)).reshape(*judged.shape, -1)
+    good = judged & np.isfinite(table).all(axis=2)
+    return np.where(good[:, :, None], table, np.nan)
 
 
-def drives_every_coordinate(drive: AbstractDrive) -> bool:
-    """Whether forces act on every coordinate, so that B₂ determines the mass by itself."""
-    if not isinstance(drive, Force):
-        return False
-    E = np.asarray(drive.input_map)
-    return bool(np.linalg.matrix_rank(E) == E.shape[0])
+def _physical(matrices: tuple, deviation: np.ndarray, scaling: Scaling) -> list[np.ndarray]:
+    """Mass, damping and stiffness of every stable choice in the record's units."""
+    stable = np.isfinite(deviation).all(axis=2)[:, :, None, None]
+    return [np.where(stable, np.asarray(X), np.nan) for X in scaling.matrices_out(*matrices)]
+
+
+def _fit_percent(deviation: np.ndarray, records: list[Record], scaling: Scaling) -> np.ndarray:
+    """100(1 − ‖y−ŷ‖/‖y−ȳ‖) from mean square residuals over all records."""
+    squares = [np.nansum((r.y - np.nanmean(r.y, axis=0)) ** 2, axis=0) for r in records]
+    power = np.sum(squares, axis=0) / np.sum([np.sum(~r.missing, axis=0) for r in records], axis=0)
+    return 100.0 * (1.0 - np.sqrt(deviation / power) * np.asarray(scaling.outputs))

@@ -8,7 +8,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MultipleLocator, NullFormatter
 
 from ..identification.result import Identification
-from ..identification.sweeping import Sweep
+from ..identification.sweep import Sweep
 from ..mechanics.drives import ORDER
 from ..records import Record
 from .frequency_responses import KIND, QUANTILE_95, response_grid, responses

@@ -2,7 +2,7 @@
 
 from ..diagnosis.result import Diagnosis
 from ..identification import Identification
-from ..identification.sweeping import Sweep
+from ..identification.sweep import Sweep
 from .diagnosis_rows import error_rows, findings_rows, shift_rows
 from .diagnosis_summary import diagnosis_document
 from .export import plain

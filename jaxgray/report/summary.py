@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 
 from ..identification.result import Identification
-from ..identification.sweeping import Sweep
-from ..identification.validation import Fit
+from ..identification.sweep import Sweep
+from ..identification.validation.residuals import Fit
 from ..mechanics.modal_uncertainty import modal_uncertainty
 from ..mechanics.model import MechanicalModel
 from ..numerics.linear_algebra import triangle

@@ -8,7 +8,7 @@ from independent import smooth_noise
 
 import jaxgray
 from jaxgray.diagnosis import routing as routes
-from jaxgray.identification.structure_test import structure_test
+from jaxgray.identification.validation.structure_test import structure_test
 from jaxgray.numerics.outcomes import RESULTS
 
 

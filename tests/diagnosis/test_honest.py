@@ -21,7 +21,7 @@ from independent import smooth_noise
 
 import jaxgray
 from jaxgray.diagnosis import routing as routes
-from jaxgray.identification.validation import residual_test
+from jaxgray.identification.validation.residuals import residual_test
 
 
 @pytest.mark.parametrize("kind", hidden.NULLS)

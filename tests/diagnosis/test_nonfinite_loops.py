@@ -20,7 +20,7 @@ from jaxgray.diagnosis.noise import whitening
 from jaxgray.diagnosis.noise.whitening import estimate_noise_model
 from jaxgray.diagnosis.static_gain import regression as static_regression
 from jaxgray.diagnosis.static_gain.regression import Static
-from jaxgray.identification.compression import padded_samples
+from jaxgray.identification.setup.padding import padded_samples
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Term, places_of
 from jaxgray.mechanics.model import MechanicalModel

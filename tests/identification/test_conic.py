@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgray.identification.conic import step_inside, undetermined
+from jaxgray.identification.refinement.conic import step_inside, undetermined
 from jaxgray.numerics.outcomes import ComputationError
 from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver
 

@@ -9,8 +9,8 @@ from jax.extend.core import jaxprs_in_params
 
 from jaxgray import Record, RowWeights, estimate, identify, sweep
 from jaxgray.identification.estimate import Options, from_factor
-from jaxgray.identification.physical import Scaling
-from jaxgray.identification.realization import MAPS
+from jaxgray.identification.setup.units import Scaling
+from jaxgray.identification.subspace.realization import MAPS
 from jaxgray.mechanics.drives import Force
 
 H, TAU, ROWS, SAMPLES = 0.02, 0.06, 4, 1000

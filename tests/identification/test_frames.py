@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import jaxgray
-from jaxgray.identification import refine as refinement
-from jaxgray.identification.normal import Iterate, part
-from jaxgray.identification.prediction import Batch, Setting
-from jaxgray.identification.preparation import prepare, scaling_of
-from jaxgray.identification.start import model_run
+from jaxgray.identification.initialization.start import model_run
+from jaxgray.identification.refinement import refine as refinement
+from jaxgray.identification.refinement.normal_equations import Iterate, part
+from jaxgray.identification.setup.prediction import Batch, Setting
+from jaxgray.identification.setup.preparation import prepare, scaling_of
 from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.modal_uncertainty import modal_uncertainty
 from jaxgray.numerics.outcomes import RESULTS
@@ -173,7 +173,7 @@ def test_damaged_frames_are_simulated_as_sound_ones_where_nothing_is_damaged():
 
 
 def test_blocks_of_a_scaled_chain_come_back():
-    from jaxgray.identification.structure import Chain
+    from jaxgray.identification.setup.structure import Chain
 
     chain = Chain().scaled(np.array([0.2, 3.0, 1.0]))
     springs = [np.array([[v]]) for v in (1.0, 0.0, 2.0, 0.5, 4.0)]

@@ -16,9 +16,9 @@ from jaxgray.identification.hidden import (
     determinacy,
     matched,
 )
-from jaxgray.identification.normal import join
-from jaxgray.identification.prediction import Setting
-from jaxgray.identification.structure import Structure
+from jaxgray.identification.refinement.normal_equations import join
+from jaxgray.identification.setup.prediction import Setting
+from jaxgray.identification.setup.structure import Structure
 from jaxgray.mechanics.drives import Force
 
 CASES = [(p, n) for p in (1, 2) for n in (1, 2, 3)]

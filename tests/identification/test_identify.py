@@ -10,9 +10,9 @@ import pytest
 import scipy.signal
 
 from jaxgray import ComputationError, MechanicalModel, Record, identify
-from jaxgray.identification.modal_start import modal_start
-from jaxgray.identification.preparation import prepare, scaling_of
-from jaxgray.identification.reach import check_reach
+from jaxgray.identification.initialization.modal_start import modal_start
+from jaxgray.identification.setup.preparation import prepare, scaling_of
+from jaxgray.identification.validation.reach import check_reach
 
 H = data.REFERENCE_TIME * 4
 SAMPLES = 4000
@@ -147,8 +147,8 @@ def test_truth_on_the_edge(truth, said):
 def test_start_on_the_edge_with_a_regular_truth():
     from jax import numpy as jnp
 
-    from jaxgray.identification.prediction import Batch, Setting
-    from jaxgray.identification.refine import refine
+    from jaxgray.identification.refinement.refine import refine
+    from jaxgray.identification.setup.prediction import Batch, Setting
 
     record = record_of(6, noise=0.0)
     scaling = scaling_of([record])

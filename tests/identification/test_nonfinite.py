@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 import jaxgray
-from jaxgray.identification import rival
-from jaxgray.identification.cholesky import at_start, cholesky_steps, likelihood_cost, start_cost
-from jaxgray.identification.conic import conic_steps
-from jaxgray.identification.normal import Criterion, Iterate, Products
-from jaxgray.identification.prediction import Batch, Setting
-from jaxgray.identification.preparation import prepare, scaling_of
-from jaxgray.identification.refine import begin_nuisance, refine
-from jaxgray.identification.structure import Structure
+from jaxgray.identification.refinement.cholesky import at_start, cholesky_steps, likelihood_cost, start_cost
+from jaxgray.identification.refinement.conic import conic_steps
+from jaxgray.identification.refinement.normal_equations import Criterion, Iterate, Products
+from jaxgray.identification.refinement.refine import begin_nuisance, refine
+from jaxgray.identification.setup.prediction import Batch, Setting
+from jaxgray.identification.setup.preparation import prepare, scaling_of
+from jaxgray.identification.setup.structure import Structure
+from jaxgray.identification.validation import free_modes as rival
 from jaxgray.mechanics.drives import Force
 
 VALUES = [np.inf, -np.inf, np.nan, 1e308]
@@ -122,7 +122,7 @@ def test_free_poles_refuse_what_overflows(monkeypatch, value):
 
 def test_factors_that_overflow_are_refused_before_they_are_simulated(problem):
     start, criterion = begun(problem)
-    from jaxgray.identification.cholesky import _Factors
+    from jaxgray.identification.refinement.cholesky import _Factors
 
     factors = _Factors.of(start.blocks, criterion)
     assert factors.finite

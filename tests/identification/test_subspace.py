@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from jaxgray import Record, identify, sweep
-from jaxgray.identification.filter_bank import cascade, lambda_powers, lambda_shift, past_rows
-from jaxgray.identification.input_matrix import InputFit
-from jaxgray.identification.physical import from_inverse_mass, jointly
-from jaxgray.identification.realization import Realization
+from jaxgray.identification.subspace.filter_bank import cascade, lambda_powers, lambda_shift, past_rows
+from jaxgray.identification.subspace.input_matrix import InputFit
+from jaxgray.identification.subspace.physical import from_inverse_mass, jointly
+from jaxgray.identification.subspace.realization import Realization
 from jaxgray.numerics.positive import ClarabelSolver, ProjectedGradientSolver
 
 H = 0.01

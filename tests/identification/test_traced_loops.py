@@ -8,15 +8,18 @@ import pytest
 from jax.experimental import io_callback
 
 import jaxgray
-from jaxgray.identification import many, many_steps, refine_traced, start
-from jaxgray.identification.many_steps import One, refine_one
-from jaxgray.identification.normal import Criterion, Iterate, Products
-from jaxgray.identification.prediction import Batch, Setting
-from jaxgray.identification.preparation import prepare, scaling_of
-from jaxgray.identification.refine import begin_nuisance, levenberg_marquardt, refine
-from jaxgray.identification.start import total_deviation
-from jaxgray.identification.structure import Structure, structure_of
-from jaxgray.identification.structured_start import nearest_structured, relaxed
+from jaxgray.identification.batch import many
+from jaxgray.identification.batch import steps as many_steps
+from jaxgray.identification.batch.steps import One, refine_one
+from jaxgray.identification.initialization import start
+from jaxgray.identification.initialization.start import total_deviation
+from jaxgray.identification.refinement import refine_traced
+from jaxgray.identification.refinement.normal_equations import Criterion, Iterate, Products
+from jaxgray.identification.refinement.refine import begin_nuisance, levenberg_marquardt, refine
+from jaxgray.identification.refinement.structured_start import nearest_structured, relaxed
+from jaxgray.identification.setup.prediction import Batch, Setting
+from jaxgray.identification.setup.preparation import prepare, scaling_of
+from jaxgray.identification.setup.structure import Structure, structure_of
 from jaxgray.mechanics.drives import Force
 from jaxgray.numerics.outcomes import RESULTS
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxgray.identification.validation import residual_test
+from jaxgray.identification.validation.residuals import residual_test
 
 SAMPLES = 4000
 

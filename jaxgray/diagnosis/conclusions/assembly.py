@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from ...identification.validation import fit_of
+from ...identification.validation.residuals import fit_of
 from ...mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term
 from ...mechanics.model import MechanicalModel
 from ...mechanics.units import composed_unit, displacement_unit

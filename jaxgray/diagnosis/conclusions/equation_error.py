@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from ...identification import Identification
-from ...identification.validation import fit_of
+from ...identification.validation.residuals import fit_of
 from ...mechanics.effects.base import Term
 from ...records import Record
 from .. import settings

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from ...identification.conic import pseudo_inverse
+from ...identification.refinement.conic import pseudo_inverse
 from ...numerics.bounded import bounded
 from ...numerics.progress import AbstractProgress
 from ...records import Record

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...identification import Identification
-from ...identification.validation import fit_of
+from ...identification.validation.residuals import fit_of
 from ...mechanics.drives import AbstractDrive, Force
 from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.model import MechanicalModel

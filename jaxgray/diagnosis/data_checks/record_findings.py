@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...identification.validation import residual_test
+from ...identification.validation.residuals import residual_test
 from ...records import Record, preflight
 from .. import settings
 from ..findings import Estimate, Finding

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from ...identification.conic import pseudo_inverse
+from ...identification.refinement.conic import pseudo_inverse
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Place, Term, places_of
 from .. import settings
 from ..model.candidate import estimated

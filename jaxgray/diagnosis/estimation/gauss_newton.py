@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...identification.conic import pseudo_inverse, step_inside, undetermined
+from ...identification.refinement.conic import pseudo_inverse, step_inside, undetermined
 from ...numerics.bounded import bounded
 from ...numerics.positive import ClarabelSolver
 from ..model.candidate import Candidate, Data, Setup

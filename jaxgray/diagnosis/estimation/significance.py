@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ...identification.conic import pseudo_inverse
+from ...identification.refinement.conic import pseudo_inverse
 from ..model.candidate import Data
 from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel, counted

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...identification import Identification
-from ...identification.physical import Scaling
-from ...identification.preparation import scaling_of
-from ...identification.structure import Structure
+from ...identification.setup.preparation import scaling_of
+from ...identification.setup.structure import Structure
+from ...identification.setup.units import Scaling
 from ...mechanics.abstract_model import effect_names
 from ...mechanics.model import MechanicalModel
 from ...mechanics.simulate import initial_state

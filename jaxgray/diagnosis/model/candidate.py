@@ -7,10 +7,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...identification.compression import padded_samples
-from ...identification.normal import join, part
-from ...identification.physical import Scaling
-from ...identification.structure import Structure
+from ...identification.refinement.normal_equations import join, part
+from ...identification.setup.padding import padded_samples
+from ...identification.setup.structure import Structure
+from ...identification.setup.units import Scaling
 from ...mechanics.drives import AbstractDrive, Force
 from ...mechanics.effects.base import Term
 from ...records import Record

@@ -11,10 +11,10 @@ import threading
 import jax
 import numpy as np
 
-from ...identification.normal import join
-from ...identification.options import drive_by
-from ...identification.preparation import scaling_of
-from ...identification.structure import Structure, structure_of
+from ...identification.refinement.normal_equations import join
+from ...identification.setup.options import drive_by
+from ...identification.setup.preparation import scaling_of
+from ...identification.setup.structure import Structure, structure_of
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Term, places_of
 from ...mechanics.model import MechanicalModel
 from ...numerics.backend import cores

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float
 
-from ...identification.validation import AR_ORDER, ar_coefficients
+from ...identification.validation.residuals import AR_ORDER, ar_coefficients
 from ...mechanics.statespace import StateSpace
 from ...numerics.bounded import bounded
 from ...numerics.filters import filtered

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...identification.conic import pseudo_inverse
+from ...identification.refinement.conic import pseudo_inverse
 from ..noise.whitening import NoiseModel, counted
 
 DEPENDENT = 1e-9

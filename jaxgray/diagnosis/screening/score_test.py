@@ -13,7 +13,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float
 
-from ...identification.conic import pseudo_inverse
+from ...identification.refinement.conic import pseudo_inverse
 from ...mechanics.effects.base import limits
 from .. import settings
 from ..model.candidate import Data

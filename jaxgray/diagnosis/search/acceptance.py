@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...identification.validation import residual_test
+from ...identification.validation.residuals import residual_test
 from ...mechanics.effects.sensor import SensorCrosstalk
 from ..acceptance import AbstractEvidence, negligible, unproven, unsound
 from ..estimation.context import SearchContext

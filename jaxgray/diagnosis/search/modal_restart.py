@@ -9,9 +9,9 @@ import dataclasses
 import numpy as np
 
 from ...identification import Identification
-from ...identification.modal_start import modal_start
-from ...identification.preparation import prepare
-from ...identification.start import nearest_physical
+from ...identification.initialization.modal_start import modal_start
+from ...identification.initialization.start import nearest_physical
+from ...identification.setup.preparation import prepare
 from ...mechanics.simulate import initial_state
 from ...numerics.outcomes import ComputationError
 from ...records import Record

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 
 from ...identification import identify
-from ...identification.conic import pseudo_inverse
+from ...identification.refinement.conic import pseudo_inverse
 from ...mechanics.drives import Force
 from ...mechanics.effects import MODEL_ERRORS
 from ...mechanics.effects.base import AbstractEffect

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...identification.structure_test import ROUNDING
+from ...identification.validation.structure_test import ROUNDING
 from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Scales, Term, places_of
 from ...numerics.progress import AbstractProgress, BudgetSpent
 from ...records import Record

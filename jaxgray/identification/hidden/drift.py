@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from ...numerics.filters import filtered
-from ..preparation import Signals
+from ..setup.preparation import Signals
 from .realizations import HigherOrder
 
 MEMORIES = (0.95, 0.8)

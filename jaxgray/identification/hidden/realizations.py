@@ -16,12 +16,12 @@ from ...numerics.lifting import free_response, respond
 from ...numerics.linear_algebra import least_squares, null_basis, triangular_factor
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.stored_programs import stored
-from ..filter_bank import pole
-from ..prediction import best_run
-from ..preparation import Signals
-from ..projection import AbstractWeight, arrange, project
-from ..realization import AbstractMap
-from ..sweep import record_factors, score
+from ..setup.prediction import best_run
+from ..setup.preparation import Signals
+from ..subspace.filter_bank import pole
+from ..subspace.grid import record_factors, score
+from ..subspace.projection import AbstractWeight, arrange, project
+from ..subspace.realization import AbstractMap
 
 STEEPEST = 0.5
 """Growth rate of a pole [1/sample] from which a realisation is of no use."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ....numerics.namespace import namespace
-from ...structure import AbstractAssembly, Full, Structure
+from ...setup.structure import AbstractAssembly, Full, Structure
 
 
 class CanonicalMass(AbstractAssembly):
@@ -88,9 +88,7 @@ class CanonicalCoupling(AbstractAssembly):
 
 
 def _joined(first, across, own, xp):
-    return xp.concatenate(
-        [xp.concatenate([first, across], axis=1), xp.concatenate([across.T, xp.diag(own)], axis=1)]
-    )
+    return xp.concatenate([xp.concatenate([first, across], axis=1), xp.concatenate([across.T, xp.diag(own)], axis=1)])
 
 
 REACH = 8.0

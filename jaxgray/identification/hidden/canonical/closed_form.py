@@ -12,8 +12,6 @@ The eigenvalues z of F are the transmission zeros, 2n of them, and
 so that the residue at a zero, a complex symmetric matrix of rank one, gives v_j(z_j), and with it a_j and b_j.
 """
 
-import itertools
-
 import numpy as np
 from jaxtyping import Array, Complex, Float
 

@@ -37,9 +37,7 @@ def physical_canonical(found: Canonical) -> tuple[np.ndarray, np.ndarray, np.nda
     mass = (vectors * np.maximum(values, LEAST_MASS * values[-1])) @ vectors.T
     omega = np.sqrt(np.maximum(found.squared, 0.0))
     rate = np.maximum(found.rate, 2 * LEAST_DAMPING * omega)
-    M, D, K = Canonical(
-        mass, found.damping, found.stiffness, found.squared, rate, found.spring, found.damper
-    ).matrices
+    M, D, K = Canonical(mass, found.damping, found.stiffness, found.squared, rate, found.spring, found.damper).matrices
     gauge = canonical_gauge(p, n)
     K = nearest_positive(K, M, gauge[2])
     if n <= 1:

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from .form import Canonical
 from ....numerics.linear_algebra import null_basis
+from .form import Canonical
 
 SIMPLE = 1e-12
 """Distance of two zeros, relative to the largest, below which their eigenvectors have no derivative."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ....numerics.namespace import namespace
-from ...structure import NAMES, AbstractAssembly, Diagonal, Structure
+from ...setup.structure import NAMES, AbstractAssembly, Diagonal, Structure
 
 GROUND = "ground"
 KINDS = {"spring": ("stiffness",), "damper": ("damping",), "": ("damping", "stiffness")}

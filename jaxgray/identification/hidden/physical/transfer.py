@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from ....mechanics.drives import ORDER, AbstractDrive, BaseAcceleration, Force
-from ...normal import part
-from ...prediction import Setting
-from ...structure import Structure
+from ...refinement.normal_equations import part
+from ...setup.prediction import Setting
+from ...setup.structure import Structure
 
 
 @dataclass(frozen=True)
