@@ -90,8 +90,8 @@ def diagnose(
     - `max_effects`: how many effects may be added; default 4.
     - `holdout`: share of the record held out where no validation is given; default 0.3.
     - `seed`: of the resampling; default 0.
-    - `budget` [s]: time after which the search ends with the best that was accepted until then; the step in work, the
-      linear fit and the summing up come on top. Default no limit.
+    - `budget` [s]: time from the call after which the search ends with the best that was accepted until then; the
+      linear fit, the refit in work and the summing up are finished all the same. Default no limit.
     - `progress`: told of every stage; silent by default.
     - `options`: as for `identify` (excitation, input_map, structure, fix, time_constants, …).
 

@@ -28,8 +28,7 @@ class Gain:
     `per_output`: name → (rmse before, rmse after); `percent` = 100 (RMSE before − after)/RMSE of the baseline, RMSE
     over all outputs in units of their noise floors; `ci95`: of the gain on other records of the kind, by the jackknife
     over long pieces and its difference to that on the data of the fit; `ci99_lower`: of the gain on this one, by block
-    bootstrap, for all candidates together that were judged on it before; `held_out`: whether the fit had not seen
-    the data.
+    bootstrap; `held_out`: whether the fit had not seen the data.
     """
 
     per_output: dict[str, tuple[float, float]]

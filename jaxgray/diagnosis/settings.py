@@ -10,9 +10,9 @@ from ..mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 # Evidence of a candidate
 
 MIN_DELTA_BIC = 10.0
-"""ΔBIC from which a candidate passes the gate, a refit counts, and another end of a refit is the better one: "very
-strong" evidence, short of which look-alikes are one class (Kass & Raftery, J. Amer. Statist. Assoc. 90 (1995)
-773-795)."""
+"""ΔBIC from which a candidate passes the gate, a refit counts, another end of a refit is the better one, and
+noise at the forces is said: "very strong" evidence, short of which look-alikes are one class (Kass & Raftery, J. Amer.
+Statist. Assoc. 90 (1995) 773-795)."""
 
 CLEAR_DELTA_BIC = 100.0
 """ΔBIC from which something is there, whatever the noise (benchmark)."""
@@ -61,11 +61,12 @@ CONTACT = frozenset({DeadZoneStiffness.id, EndStop.id})
 # Held-out data
 
 HELD_OUT_RISK = 0.01
-"""Probability that a gain which is none passes for a sure one, over all candidates judged on the same data (theory)."""
+"""Probability that a gain which is none passes for a sure one: of the first candidate judged on held-out data, the k-th
+part of it of the k-th since the last sure finding (convention)."""
 
 MAX_LOSS = 100.0
-"""Loss [%] in the 95 % interval of the gain on other records from which a finding is not credible: with it the model
-may err twice as much as the linear one (convention)."""
+"""Loss [%] in the 95 % interval of the gain on other records from which a finding is not credible: there it may double
+the error of the linear model (convention)."""
 
 MIN_RELATIVE_MOTION = 0.3
 """Motion of held-out data relative to that of the fit from which they can refute coloured noise (benchmark)."""
@@ -94,7 +95,8 @@ MISFIT_PROBABILITY = 1e-8
 
 MISFIT_SHARE = 25.0
 """Share of the residual [%] that another linear model must explain where noise is coloured, which passes for a little
-more of dynamics; an effect of 1.15 times the noise explains 25 %. Twice that where noise enters at the forces."""
+more of dynamics; an effect of 1.15 times the noise explains 25 % (theory). Twice that where noise enters at the
+forces."""
 
 LARGE_RESIDUAL = 50.0
 """Share of an output's motion [%] from which what a model leaves, unless white, is more than noise usually is
@@ -161,20 +163,29 @@ OUTLYING_RESIDUAL = 4.0
 reversal is undecided (theory: one normal sample in 16 000)."""
 
 SLOW_VELOCITY = 0.1
-"""Velocity, relative to its root mean square, below which a place may as well have turned (convention)."""
+"""Velocity, relative to its root mean square, below which a reversal may lie within an integration step (convention)."""
+
+MAX_UNDECIDED_SHARE = 0.02
+"""Share of the samples above which they are not left out as undecided: then it is the model that is wrong
+(convention)."""
+
+MAX_START_POWER = 0.5
+"""Share of the sum of squares of the linear model's free run that a law found by the force equation may leave for its
+refit to go on (convention)."""
 
 # Search
 
 MAX_PROVISIONAL = 2
-"""Findings that may be in the model provisionally at a time."""
+"""Findings that may be in the model provisionally at a time (convention)."""
 
 MAX_FREE_ROUNDS = 3
-"""Rounds that only rule something out, and do not count."""
+"""Rounds that only rule something out, and do not count (convention)."""
 
 # Data
 
 MIN_SAMPLES = 20
-"""Samples of a record for validation, and samples whose past is known, without which nothing can be told."""
+"""Samples of a record for validation, and samples whose past is known, without which nothing can be told
+(convention)."""
 
 MAX_OFFSET = 3.0
 """Difference of the zeros of two records, in units of the largest motion about its mean in any record, from which it is

@@ -35,7 +35,7 @@ class Budgeted(AbstractProgress):
 
     @property
     def unlimited(self):
-        return self._told
+        return self._told.unlimited
 
     def stage(self, name, *, fraction=None):
         if self._seconds is not None and time.monotonic() - self._begun >= self._seconds:

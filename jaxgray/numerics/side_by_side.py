@@ -5,7 +5,7 @@ import functools
 import os
 import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import jax
 
@@ -28,7 +28,7 @@ def side_by_side(function: Callable, parts: Iterable) -> list:
 
     **Arguments:** `function`; `parts`.
 
-    **Raises:** what the function raises.
+    **Raises:** what the function raises for the first part that fails, once all have ended.
     """
     parts = list(parts)
     if len(parts) < 2 or cores() < 2 or getattr(_here, "busy", False):
@@ -42,4 +42,8 @@ def side_by_side(function: Callable, parts: Iterable) -> list:
             return function(part)
 
     # A process that was forked has no threads of its parent.
-    return list(_pool(os.getpid(), min(cores(), MOST)).map(alike, parts))
+    pool = _pool(os.getpid(), min(cores(), MOST))
+    calls = [pool.submit(alike, part) for part in parts]
+    # Where one fails, the others come to their end before the caller goes on: they work on what is its own.
+    wait(calls)
+    return [call.result() for call in calls]

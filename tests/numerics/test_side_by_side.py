@@ -24,6 +24,23 @@ def test_results_come_in_order_and_failures_reach_the_caller(monkeypatch):
         side_by_side(lambda k: 1 / (3 - k), range(5))
 
 
+def test_no_part_goes_on_after_a_failure_has_reached_the_caller(monkeypatch):
+    monkeypatch.setattr(module, "cores", lambda: 2)
+    ended, failed = [], threading.Event()
+
+    def part(k):
+        if k == 0:
+            failed.set()
+            raise ZeroDivisionError
+        assert failed.wait(20)
+        threading.Event().wait(0.2)
+        ended.append(k)
+
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(part, range(2))
+    assert ended == [1]
+
+
 def test_parts_of_parts_wait_for_no_other_thread(monkeypatch):
     monkeypatch.setattr(module, "cores", lambda: 2)
 

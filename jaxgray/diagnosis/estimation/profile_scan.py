@@ -40,14 +40,15 @@ def from_other_values(
     *,
     max_steps: int,
     tolerance: float,
-    worth: float = settings.MIN_DELTA_BIC,
+    worth: float | None = None,
 ) -> Refit:
     """A refit, or a better one from other values of its last term.
 
     **Arguments:** `context`; `fit`: carried to its end; `chosen`: values of the last term to begin from, given a refit
     and the noise model to score them by; `max_steps`, `tolerance`: of the refits; `worth`: difference in N ln cost from
-    which another one is better.
+    which another one is better, default `MIN_DELTA_BIC`.
     """
+    worth = settings.MIN_DELTA_BIC if worth is None else worth
     noise_model = noise_model_of(context, fit)
     data, options = context.data[0], {"held": context.held, "max_steps": max_steps, "tolerance": tolerance}
 

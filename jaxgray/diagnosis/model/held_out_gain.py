@@ -18,6 +18,7 @@ SHORT = 40
 """Pieces that the bootstrap draws from."""
 
 RESAMPLES = 2000
+"""Of the bootstrap: enough for the bound of the twentieth candidate that is judged on the same data."""
 
 LONG = (4, 5, 6, 8, 12)
 """Pieces of the jackknife; the number with the largest spread counts."""
@@ -39,8 +40,8 @@ def gain_of(
 
     **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
     `names` of outputs; `held_out`; `rng`; `seen`: the same three on the data of the fit, for gains on
-    held-out data; `trials`: candidates judged on these data so far, this one included, which share the probability that
-    one of them passes by chance (Bonferroni).
+    held-out data; `trials`: candidates judged on these data so far, this one included: the k-th must be sure with a
+    k-th part of the risk of the first.
 
     **Returns:** a `Gain`.
 

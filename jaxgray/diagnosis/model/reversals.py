@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...mechanics.extended import arm_of
+from ...numerics.bounded import bounded
 from .. import settings
 from .candidate import Candidate, Data
 from .simulator import Simulator
@@ -39,17 +40,18 @@ def decided_residual(
 def undecided(
     simulator: Simulator, candidate: Candidate, data: Data, e: Float[np.ndarray, "samples outputs"], record: int = 0
 ) -> Bool[np.ndarray, "samples outputs"] | None:
-    """Which samples of accelerations lie beside a reversal, or nearly, and are far off; None where there are none.
+    """Which samples of accelerations lie beside a reversal, or nearly, and are far off; None where there are none, and
+    where they are so many that not the steps but the model is wrong.
 
     **Arguments:** as for `decided_residual`; `e`: residual, zero where missing.
     """
     jumping = [term for term in candidate.terms if term.effect.jumps]
     accelerated = np.array([kind == "acceleration" for kind in simulator.setup.measured])
-    largest = np.max(np.abs(e), initial=0.0)
-    if not jumping or not accelerated.any() or largest == 0.0:
+    if not jumping or not accelerated.any() or not bounded(e):
         return None
-    e = e / largest
     v, plant = simulator.motion(candidate, data, record)[1], simulator.plant(candidate)
+    if not bounded(v):
+        return None
     near = np.zeros(len(v), bool)
     for term in jumping:
         along = v @ np.asarray(arm_of(term, plant))
@@ -60,4 +62,5 @@ def undecided(
     away = data.kept & ~near[:, None]
     level = np.sqrt(np.sum(np.where(away, e, 0.0) ** 2, axis=0) / np.maximum(away.sum(axis=0), 1))
     left_out = near[:, None] & accelerated & (np.abs(e) > settings.OUTLYING_RESIDUAL * level)
-    return left_out if left_out.any() else None
+    share = np.mean(left_out[: data.samples].any(axis=1))
+    return left_out if 0.0 < share <= settings.MAX_UNDECIDED_SHARE else None

@@ -187,7 +187,7 @@ def screen(
     products = Products(noise_model, e, J, features.responses, data.kept)
     scores, overflowed = score_all(products, features)
     threshold = settings.MIN_DELTA_BIC
-    if surrogates and scores and settings.MIN_DELTA_BIC < scores[0].delta_bic < 100.0:
+    if surrogates and scores and settings.MIN_DELTA_BIC < scores[0].delta_bic < settings.CLEAR_DELTA_BIC:
         threshold = max(settings.MIN_DELTA_BIC, _calibrated(products, scores, surrogates, rng))
     return Screening(scores, noise_model, products.rows, clean, threshold, overflowed, first)
 

@@ -9,9 +9,6 @@ from ...mechanics.effects.base import AbstractEffect
 from .. import settings
 from ..estimation.multistart import Attempt
 
-CLEARLY = float(np.sqrt(scipy.special.chdtri(1, settings.SIGNIFICANCE)))
-"""The same in standard errors of one parameter."""
-
 
 def look_alikes(effect: AbstractEffect, catalogue: Iterable[AbstractEffect]) -> frozenset[str]:
     """Ids of the laws of a catalogue that are easily taken for one."""
@@ -55,7 +52,8 @@ def needless(rival: Attempt, best: Attempt) -> bool:
     end = len(rival.fit.covariance) - later
     errors = np.sqrt(np.maximum(np.diag(rival.fit.covariance)[end - len(own) : end], 0.0))
     further = [(float(term.values[j]), e) for j, e in zip(own, errors) if term.effect.parameters[j].name not in known]
-    if not special and further and all(abs(value) < CLEARLY * error for value, error in further):
+    clearly = float(np.sqrt(scipy.special.chdtri(1, settings.SIGNIFICANCE)))
+    if not special and further and all(abs(value) < clearly * error for value, error in further):
         return True
     ratio = best.criterion - best.penalty - (rival.criterion - rival.penalty)
     level = settings.LOOK_ALIKE_SIGNIFICANCE if special else settings.SIGNIFICANCE

@@ -53,7 +53,7 @@ def _lost(context: SearchContext, state: SearchState, fit: Refit) -> bool:
     """Whether another refit of all findings is much farther from the held-out data: what the data of the fit hardly
     determine went astray on the way."""
     runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
-    return any(not settings.MUCH_NEARER * overall(new.rmse, old.rmse) < 1.0 for new, old in zip(runs, state.runs))
+    return any(not overall(new.rmse, old.rmse) < 1 / settings.MUCH_NEARER for new, old in zip(runs, state.runs))
 
 
 def _class_again(context: SearchContext, state: SearchState, k: int) -> None:

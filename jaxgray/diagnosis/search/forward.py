@@ -104,6 +104,8 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
             return 1 if found else None
     if left <= 0:
         return None
+    # Until they are taken or refuted, there are candidates.
+    state.unexplained = True
     closer = _closer(context, state.stage, screening) if closer is None else closer
     before = len(state.rejected)
     ranked = _refitted(context, state, screening, closer)
@@ -277,8 +279,8 @@ def _refitted(context: SearchContext, state: SearchState, screening: Screening, 
 def _narrowed(
     context: SearchContext, stage: Stage, ranked: list[Attempt], screening: Screening, closer: Screening
 ) -> list[Attempt]:
-    """The ranking, the laws that the best one contains refitted from its end as well: what it explains more than they
-    do may be no more than a better optimum."""
+    """The ranking, the laws that the best one contains refitted from its end as well: its advantage over them
+    may be only a better optimum."""
     inside = contained_laws(ranked[0], screening, closer) if ranked else []
     again = refit_look_alikes(context, stage, ranked[0], inside, []) if inside else []
     return simplified(_better_ones(compared(context, stage, ranked + again))) if again else ranked

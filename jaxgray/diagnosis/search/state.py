@@ -49,7 +49,7 @@ class Provisional:
 class SearchState:
     """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
     tried, the last look, what is no longer looked for, how many candidates were judged on held-out data since the last
-    was accepted, and what the last findings owe."""
+    was surely accepted, and what the last findings owe."""
 
     start: Stage
     stage: Stage

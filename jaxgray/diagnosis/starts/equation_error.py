@@ -57,7 +57,7 @@ def from_forces(context: SearchContext, stage: Stage, screening: Screening) -> l
             return None
         # Out of step as it still is, what is left passes for noise at the forces, and less and less of it does.
         fit = refit(context.simulator, begin, context.data, noise_model_of(context, fit), max_steps=STEPS, **options)
-        if fit is None or not float(np.sum(fit.residual[0] ** 2)) < settings.MUCH_NEARER * left:
+        if fit is None or not float(np.sum(fit.residual[0] ** 2)) < settings.MAX_START_POWER * left:
             return None
         context.progress.stage(f"pursuing {effect} at {place}")
         end = refit_to_convergence(context, fit)

@@ -55,9 +55,9 @@ def refit_look_alikes(
     **Arguments:** `context`; `stage`: without the best one; `best`; `listed`: scores of every law to hear; `rejected`:
     takes those that end far behind.
     """
-    force_equation_finds = side_by_side(lambda scores: _refit_look_alike(context, stage, best, scores), listed)
-    rejected += [end for end in force_equation_finds if isinstance(end, Rejected)]
-    return [end for end in force_equation_finds if isinstance(end, Attempt)]
+    ends = side_by_side(lambda scores: _refit_look_alike(context, stage, best, scores), listed)
+    rejected += [end for end in ends if isinstance(end, Rejected)]
+    return [end for end in ends if isinstance(end, Attempt)]
 
 
 def _refit_look_alike(context: SearchContext, stage: Stage, best: Attempt, scores: list[Score]) -> Attempt | Rejected:

@@ -85,10 +85,12 @@ def _is_entry(effect: AbstractEffect) -> bool:
 
 
 def wrong_entries(
-    context: SearchContext, stage: Stage, screening: Screening, *, least: float = settings.MIN_DELTA_BIC
+    context: SearchContext, stage: Stage, screening: Screening, *, least: float | None = None
 ) -> list[Score]:
     """Scores of the entries that the identified model says are wrong, with the sizes to begin from, best first; those
-    alone that would lower the sum of squares by at least so much, in units of the noise variance."""
+    alone that would lower the sum of squares by at least so much, in units of the noise variance (default
+    `MIN_DELTA_BIC`)."""
+    least = settings.MIN_DELTA_BIC if least is None else least
     found = context.identified
     if found is None:
         return []
