@@ -163,7 +163,8 @@ OUTLYING_RESIDUAL = 4.0
 reversal is undecided (theory: one normal sample in 16 000)."""
 
 SLOW_VELOCITY = 0.1
-"""Velocity, relative to its root mean square, below which a reversal may lie within an integration step (convention)."""
+"""Velocity, relative to its root mean square, below which a reversal may lie within an integration step
+(convention)."""
 
 MAX_UNDECIDED_SHARE = 0.02
 """Share of the samples above which they are not left out as undecided: then it is the model that is wrong
