@@ -235,11 +235,9 @@ def row_auto(seeds):
 # The measured motor bench.
 
 
-def lines_error(model, record, period=2500):
+def lines_error(model, u, y, period=2500):
     """Relative error of the load angle at the excited lines, from the measured current: the hidden coordinate's
-    response times the current's lines."""
-    _, load = record
-    u, y = load
+    response times the current's lines. The load follows the motor at rest, which sets the hidden coordinate's scale."""
     n = len(u) // period
     U, Y = (np.fft.rfft(x[: n * period].reshape(n, period).mean(axis=0)) for x in (u, y))
     excited = np.flatnonzero(np.abs(U) > 0.1 * np.max(np.abs(U)))
@@ -247,7 +245,8 @@ def lines_error(model, record, period=2500):
     omega = 2 * np.pi * excited / (period / 2500.0)
     M, D, K = (np.asarray(X) for X in (model.mass, model.damping, model.stiffness))
     hold = (1 - np.exp(-1j * omega / 2500.0)) / (1j * omega / 2500.0)
-    H = np.array([np.linalg.solve(K + 1j * w * D - w**2 * M, [1.0, 0.0])[1] for w in omega])
+    scale = -K[1, 1] / K[0, 1]
+    H = scale * np.array([np.linalg.solve(K + 1j * w * D - w**2 * M, [1.0, 0.0])[1] for w in omega])
     predicted = H * hold * U[excited]
     return float(np.linalg.norm(predicted - Y[excited]) / np.linalg.norm(Y[excited])), len(excited)
 
@@ -273,11 +272,8 @@ def row_motor_bench(_):
             "damping_ratio": [float(x) for x in np.nan_to_num(modes.damping_ratio)],
             "antiresonance_damping": zeros.damping_ratio.tolist(),
             "warnings": list(found.warnings),
+            "load_error": [lines_error(found.model, t[:, 1], t[:, 3]) for t in columns],
         }
-        if structure is not None:
-            result["load_error"] = [
-                lines_error(found.model, (None, (t[:, 1], t[:, 3]))) for t in columns
-            ]
     return result
 
 

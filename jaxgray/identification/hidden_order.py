@@ -86,9 +86,9 @@ def identify_auto(
             steps.append(OrderStep(count, None, None, None, True))
             best, chosen = here, count
             continue
-        delta = coloured_bic(here) - coloured_bic(best)
+        delta = float(coloured_bic(here) - coloured_bic(best))
         gain, error = held_out_gain(here, best)
-        accepted = delta < -MIN_DELTA_BIC and gain > SURE * error
+        accepted = bool(delta < -MIN_DELTA_BIC and gain > SURE * error)
         steps.append(OrderStep(count, delta, 100 * gain, 100 * error, accepted))
         if not accepted:
             # Two that gain only together: once more, unless there is nothing left to gain.

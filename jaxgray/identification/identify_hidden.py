@@ -59,6 +59,9 @@ MOST_REALIZATIONS = 4
 MOST_ALTERNATIVES = 4
 """Equally good sets of parameters that are refined."""
 
+POOR_MATCH = 1e-4
+"""Mean squared relative error of a structure's transfer function from which the slowest poles are not trusted."""
+
 ZERO = 1e-9
 """Share of the largest element of its kind below which one counts as zero."""
 
@@ -329,7 +332,7 @@ def _canonical_start(task: _Task, model: HigherOrder, tau: float, rows: int) -> 
 def _merit(task: _Task, start: Start) -> float:
     """Likelihood of a start's free run, over pieces of the record where it drifts."""
     pieces = _in_windows(task, start)
-    if pieces.records is task.records:
+    if pieces.records is task.whole:
         return start.score
     return float(score(total_deviation(start.matrices, pieces.setting, pieces.signals)))
 
@@ -411,8 +414,12 @@ def _structured(task: _Task, found, connections: Connections, notes: tuple[str, 
     best, tau, rows = found[0]
     target, rates = _target(task, best, free)
     ends = matched(family, target, rates, given)
-    theta = ends.parameters
-    theta = np.where(held, np.nan_to_num(given), theta)
+    loose = task.dofs - np.linalg.matrix_rank(family.matrices(np.ones(len(units)))[2])
+    if loose and ends.errors[0] > POOR_MATCH:
+        # What drift made of the slowest poles says nothing of a body that no spring holds.
+        others = matched(family, target, np.sort(rates)[2 * loose :], given)
+        ends = max((ends, others), key=lambda found: _matched_merit(task, family, found.parameters[0], best, tau, rows))
+    theta = np.where(held, np.nan_to_num(given), ends.parameters)
     outcome = determinacy(family, theta[0], connections.elements, units=units, held=held)
     candidates = theta[: MOST_ALTERNATIVES if outcome.complete else 1]
     starts = [_start(task, family.matrices(x), best, tau, rows, "subspace") for x in candidates]
@@ -447,6 +454,11 @@ def _structured(task: _Task, found, connections: Connections, notes: tuple[str, 
     result = _assessed(task, model, start, refinement, form, held, notes, evidence)
     elements = _elements(result, connections, outcome, held)
     return replace(result, hidden=replace(evidence, elements=elements))
+
+
+def _matched_merit(task: _Task, family: Family, theta, model: HigherOrder, tau: float, rows: int) -> float:
+    with np.errstate(all="ignore"):
+        return _merit(task, _start(task, family.matrices(theta), model, tau, rows, "subspace"))
 
 
 def _target(task: _Task, best: HigherOrder, free):

@@ -125,3 +125,15 @@ def test_exports_have_all_states_and_the_measured_outputs():
 def test_what_does_not_fit_is_said(options, message):
     with pytest.raises(ValueError, match=message):
         model_of(**options)
+
+
+def test_other_programs_simulate_the_measured_outputs(tmp_path):
+    model = model_of(input_units=["N", "N"], output_units=["m", "m"])
+    u = np.random.default_rng(0).standard_normal((50, 2))
+    wanted = model.simulate(u, H)
+    sampled = jaxgray.to_scipy(model, sampling_time=H)
+    found = scipy.signal.dlsim(sampled, u)[1]
+    np.testing.assert_allclose(found, wanted, atol=1e-10 * np.max(np.abs(wanted)))
+    for ending in ("xml", "h", "mat"):
+        jaxgray.export(model, tmp_path / f"model.{ending}", sampling_time=H)
+    assert 'joint name="h1"' in (tmp_path / "model.xml").read_text()

@@ -7,6 +7,7 @@ responses. For forces it is kept mechanical: displacements that no force moves a
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.scipy.linalg as jsl
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -126,10 +127,15 @@ def fitted_input(
     offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
     size = jnp.sqrt(jnp.mean(responses**2, axis=(0, 1)))
     size = jnp.where(size > 0, size, 1.0)
-    table = jnp.concatenate([free, offsets, responses / size, signals.y[:, :, None]], axis=2) * kept[:, :, None]
-    nuisance = free.shape[2] + outputs
-    R = triangular_factor(table.reshape(samples * outputs, -1))[nuisance:, nuisance:]
-    found = least_squares(R[:, :-1], R[:, -1:])[:, 0] / size
+    table = jnp.concatenate([free, offsets, responses / size], axis=2) * kept[:, :, None]
+    table, target = table.reshape(samples * outputs, -1), (signals.y * kept).reshape(-1)
+    R = jax.lax.stop_gradient(triangular_factor(jnp.concatenate([table, target[:, None]], axis=1)))[:-1]
+    first = least_squares(R[:, :-1], R[:, -1:])[:, 0]
+    # One more step at the solution: it changes rounding alone, and its derivative is that of the least squares, which
+    # the derivative of the factor, of the square of its condition, would lose.
+    left = table.T @ (target - table @ first)
+    step = jsl.solve_triangular(R[:, :-1], jsl.solve_triangular(R[:, :-1], left, trans=1))
+    found = (first + step)[free.shape[2] + outputs :] / size
     found = found.reshape(b.shape[1], -1)
     return b @ found, d @ found
 
