@@ -206,9 +206,7 @@ def auto_record(seed, hidden):
     rng = np.random.default_rng(seed)
     n = 1 + hidden
     m, k, samples, h = rng.uniform(0.7, 1.6, n), rng.uniform(200.0, 500.0, n), 4000, 0.01
-    line = sum(
-        k[j] * np.outer(a, a) for j, a in enumerate(np.eye(n)[j] - (np.eye(n, n, 1)[j]) for j in range(n))
-    )
+    line = sum(k[j] * np.outer(a, a) for j, a in enumerate(np.eye(n)[j] - (np.eye(n, n, 1)[j]) for j in range(n)))
     D = 0.002 * line + 0.1 * np.eye(n)
     u = held_steps(rng, samples, 12)
     y = simulated(np.diag(m), D, line, np.eye(n, 1), np.eye(1, n), u, h)
