@@ -46,8 +46,10 @@ def undecided(
     **Arguments:** as for `decided_residual`; `e`: residual, zero where missing.
     """
     jumping = [term for term in candidate.terms if term.effect.jumps]
+    if not jumping or not bounded(e):
+        return None
     accelerated = np.array([kind == "acceleration" for kind in simulator.setup.measured])
-    if not jumping or not accelerated.any() or not bounded(e):
+    if not accelerated.any():
         return None
     v, plant = simulator.motion(candidate, data, record)[1], simulator.plant(candidate)
     if not bounded(v):
