@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..mechanics.model import MechanicalModel
+from ..mechanics.statespace import check_hold
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.runtime import give_back, ready
 from ..records import Record
@@ -222,7 +223,7 @@ def compress(
     - `sampling_time`: time between rows [s].
     - `time_constants`: τ [s], one or several; default that which serves the first chunk best.
     - `block_rows`: the largest i wanted; default that which serves the first chunk best.
-    - `hold`, `measured`: as for `read_record`.
+    - `hold`: "zero" (default) or "linear"; `measured`: as for `read_record`.
     - `input_map`: where forces act, for the choice of τ and i; as for `identify`.
     - `chunk_samples`: rows held at a time; default 65 536.
 
@@ -232,6 +233,7 @@ def compress(
     give a model, unless τ and i are given.
     """
     ready()
+    check_hold(hold)
     inputs = (inputs,) if isinstance(inputs, str) else tuple(inputs)
     outputs = (outputs,) if isinstance(outputs, str) else tuple(outputs)
     if chunk_samples < 1:

@@ -68,7 +68,8 @@ def read_record(
     - `time`: name of the time column; default `t` or `time` in any case, unless `sampling_time` is given.
     - `sampling_time`: time between rows in s, for files without a time column; default `sampling_time` in the
         file, if there is one.
-    - `hold`: the input between samples, `"zero"` (default) or `"linear"`.
+    - `hold`: the input between samples, `"zero"` (default), `"linear"` or `"band-limited"` (behind an anti-alias
+        filter; see `Record`).
     - `measured`: `"displacement"` (default), `"velocity"` or `"acceleration"`, one for all or one per output.
     - `scheduling`: name of a column on which the system may depend; default none.
     - `delimiter`, `decimal`: of delimited text; default found in the file.

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxgray.numerics.band_limited import band_limited
 from jaxgray.records.channels import (
     as_channels,
     as_seconds,
@@ -16,7 +17,7 @@ from jaxgray.records.channels import (
 from jaxgray.records.describe import describe
 from jaxgray.records.periods import between_periods, find_period
 
-HOLDS = ("zero", "linear")
+HOLDS = ("zero", "linear", "band-limited")
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -30,7 +31,9 @@ class Record:
     - `sampling_time`: time between samples in s.
     - `input_names`, `output_names`: names of the channels; default `u1`, `u2`, … and `y1`, `y2`, ….
     - `input_units`, `output_units`: units of the channels as text; default empty. Values stay in them.
-    - `hold`: the input between samples, `"zero"` (constant, default) or `"linear"`.
+    - `hold`: the input between samples, `"zero"` (constant, default), `"linear"`, or `"band-limited"`: measured behind
+        an anti-alias filter. Of a band-limited input the record keeps the samples between which straight lines move a
+        plant as it does; its `hold` is "linear" then.
     - `measured`: what the outputs are, `"displacement"` (default), `"velocity"` or `"acceleration"`, one for
         all or one per output.
     - `scheduling`: one more channel `(samples,)` on which the system may depend; default none.
@@ -103,6 +106,14 @@ class Record:
             raise ValueError(f"hold is {hold!r}; give one of {', '.join(HOLDS)}.")
         store("hold", hold)
         store("measured", measured_per_output(measured, self.outputs))
+        if hold == "band-limited":
+            if "acceleration" in self.measured:
+                raise ValueError(
+                    "hold is 'band-limited' and measured holds accelerations, which show the input at its samples as "
+                    "well; give hold='linear'."
+                )
+            store("u", np.stack([band_limited(column) for column in self.u.T], axis=1))
+            store("hold", "linear")
 
         if scheduling is not None:
             p = as_channels("scheduling", scheduling)

@@ -29,6 +29,7 @@ NAMES = {
     "input_delay": "input delay",
     "actuator_lag": "actuator lag",
     "intersample_hold": "another hold between samples",
+    "band_limited_input": "band-limited input between samples",
     "input_saturation": "input saturation",
     "input_dead_zone": "input dead zone",
     "input_quadratic": "quadratic input",

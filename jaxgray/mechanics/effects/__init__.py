@@ -2,7 +2,7 @@
 
 import difflib
 
-from . import actuator, coupling, disturbance, friction, hysteresis, sensor, stiffness, structure
+from . import actuator, between_samples, coupling, disturbance, friction, hysteresis, sensor, stiffness, structure
 from .base import (
     AbstractEffect,
     AbstractForceEffect,
@@ -57,7 +57,8 @@ CATALOGUE: tuple[AbstractEffect, ...] = (
     coupling.CirculatoryCoupling(),
     actuator.InputDelay(),
     actuator.ActuatorLag(),
-    actuator.IntersampleHold(),
+    between_samples.IntersampleHold(),
+    between_samples.BandLimitedInput(),
     actuator.InputSaturation(),
     actuator.InputDeadZone(),
     actuator.InputQuadratic(),

@@ -160,37 +160,6 @@ class ActuatorLag(AbstractInputEffect):
         return lag_state(start, end, p[0] / time)
 
 
-class IntersampleHold(AbstractInputEffect):
-    """The input between samples is not held as said.
-
-    Under a zero-order hold linear_share = 1 stands for a linear hold; a record under a linear hold (start and end
-    of a sample differ) is moved the other way, 1 standing for a zero-order hold. What comes after it is late or bent.
-    """
-
-    early = True
-
-    id = "intersample_hold"
-    family = "actuator"
-    law = "u between samples: (1 − linear_share)·hold as said + linear_share·the other of zero-order and linear"
-    parameters = (Parameter("linear_share", lower=0.0, upper=2.0, amplitude=True),)
-    parity = "odd"
-    signature = "half a sample of delay or advance"
-    reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
-    places = "input"
-    resembles = "timing"
-
-    def shapes(self, scales):
-        return [np.array([1.0])]
-
-    def apply(self, p, start, end, time):
-        following = jnp.concatenate([start[1:], start[-1:]])
-        other = jnp.where(jnp.any(start != end), start, following)
-        return start, end + p[0] * (other - end)
-
-    def at_samples(self, p, start, end, seen, time):
-        return seen
-
-
 class InputSaturation(AbstractInputEffect):
     """The force ends at a limit.
 
