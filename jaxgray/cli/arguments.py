@@ -80,9 +80,9 @@ class Channels:
 
     inputs: Annotated[str, _option("--inputs", metavar="A,B", help="Columns of the inputs.")]
     outputs: Annotated[str, _option("--outputs", metavar="C,D", help="Columns of the outputs.")]
-    hold: Annotated[
-        str, _option("--hold", metavar="zero|linear|band-limited", help="The input between samples.")
-    ] = "zero"
+    hold: Annotated[str, _option("--hold", metavar="zero|linear|band-limited", help="The input between samples.")] = (
+        "zero"
+    )
     measured: Annotated[
         str,
         _option(

@@ -41,6 +41,7 @@ def record(rng, law):
     return jaxgray.Record(u, y, TIME, hold="linear", measured="acceleration")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("effect", "law"), [("input_delay", delayed), ("actuator_lag", lagged)])
 def test_a_late_force_is_found_from_accelerations(effect, law):
     rng = generator("accelerations", effect)

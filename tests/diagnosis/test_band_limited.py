@@ -23,7 +23,9 @@ def measured_pair(rng, band, noise=0.003, hold="linear", measured="displacement"
         spectrum[np.fft.rfftfreq(count) * FINER > band] = 0.0
         u = np.fft.irfft(spectrum, count, axis=0)[: SAMPLES * FINER]
         u /= u.std()
-        y = simulate(SYSTEM.M, SYSTEM.D, SYSTEM.K, u, TIME / FINER, E=np.eye(2)[:, :1], hold="linear", measured=measured)
+        y = simulate(
+            SYSTEM.M, SYSTEM.D, SYSTEM.K, u, TIME / FINER, E=np.eye(2)[:, :1], hold="linear", measured=measured
+        )
         u, y = u[::FINER], y[::FINER]
         y = y + noise * np.std(y, axis=0) * rng.standard_normal(y.shape)
         records.append(jaxgray.Record(u, y, TIME, hold=hold, measured=measured))

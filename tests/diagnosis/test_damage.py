@@ -3,6 +3,7 @@
 import frames
 import hidden_laws
 import numpy as np
+import pytest
 
 import jaxgray
 
@@ -19,6 +20,7 @@ def shaken(effect, samples=3000):
     return frame, jaxgray.Record(u, y, H, hold="linear", measured="acceleration", **units)
 
 
+@pytest.mark.slow
 def test_a_loss_of_stiffness_in_one_storey_is_dated_and_told_in_percent(tmp_path):
     frame, record = shaken(hidden_laws.Effect("stiffness_step", "y1-y2", {"dk": -0.1 * 1.5e5, "t0": 11.237}))
     found = jaxgray.diagnose(record, excitation="base-acceleration")

@@ -2,6 +2,7 @@
 
 import hidden
 import numpy as np
+import pytest
 from found import SAMPLES, generator, model_findings
 from hidden_laws import Effect
 from hidden_simulation import System
@@ -9,6 +10,7 @@ from hidden_simulation import System
 import jaxgray
 
 
+@pytest.mark.slow
 def test_the_scale_of_a_base_excitation_stays_where_it_was_set():
     rng = generator("base excitation")
     system = System(np.array([[1.0]]), np.array([[2.0]]), np.array([[400.0]]))

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import hidden
 import numpy as np
+import pytest
 from independent import smooth_noise
 
 from jaxgray import Record, diagnose, write_report
@@ -64,6 +65,7 @@ def test_what_is_missing_is_shown_where_samples_were_lost(tmp_path):
     assert (tmp_path / "page.html").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_a_link_that_turns_over_beside_one_that_does_not_is_begun_where_the_force_equation_says():
     # On average the linear free run is of use, that of the first link is not, and every score is about it.
     rng, records = np.random.default_rng(8), []
@@ -86,6 +88,7 @@ def test_a_link_that_turns_over_beside_one_that_does_not_is_begun_where_the_forc
     assert diagnosis.gain.ci95[0] > 90 and not any("force equation" in text for text in diagnosis.warnings)
 
 
+@pytest.mark.slow
 def test_cogging_is_found_where_the_axis_passes_many_periods():
     # Free runs lose count of the periods unless law, first state and period all fit; in the force equation the law is
     # in step with the measured displacement or it is not.

@@ -33,6 +33,7 @@ def test_nothing_is_found_where_nothing_is_hidden(kind):
     assert diagnosis.not_found and diagnosis.extended is None and diagnosis.gain is None
 
 
+@pytest.mark.slow
 def test_a_delay_and_a_spring_that_hide_each_other_are_both_found():
     # A record of a campaign in which each effect alone brought no free run nearer, and neither was found. No record of
     # one coordinate tells a delay of the input from one of the sensor.
@@ -49,6 +50,7 @@ def test_a_delay_and_a_spring_that_hide_each_other_are_both_found():
     check_parameter(cubic.parameters["k3"], case.effects[0].parameters["k3"], "k3", str(diagnosis))
 
 
+@pytest.mark.slow
 def test_a_cubic_spring_is_heard_where_a_sine_turns_out_to_be_one():
     # A record of a campaign: the sine was refused for being a cubic spring, and Dahl's friction named in its place.
     pair, rng = ("stribeck_friction", "cubic_stiffness"), np.random.default_rng([100001, 2, 10])
@@ -65,6 +67,7 @@ def test_a_weak_controller_is_heard_in_the_same_and_the_next_sample_together():
     assert not residual_test(shuffled, case.u).feedback
 
 
+@pytest.mark.slow
 def test_a_law_is_found_from_where_the_linear_model_has_gone_astray():
     # A record of a campaign: the linear model had taken so much of it that no small step leads back.
     truth = "fractional_damping"
@@ -78,6 +81,7 @@ def test_a_law_is_found_from_where_the_linear_model_has_gone_astray():
         check_parameter(found.parameters[name], true, name, str(diagnosis))
 
 
+@pytest.mark.slow
 def test_a_mode_is_found_beside_the_crosstalk_that_took_a_little_of_it():
     # A record of a campaign: what the crosstalk left rang at one frequency, and passed for coloured noise.
     truth = "unmodelled_mode"
@@ -88,6 +92,7 @@ def test_a_mode_is_found_beside_the_crosstalk_that_took_a_little_of_it():
     assert "sensor_crosstalk" in {rejected.effect for rejected in diagnosis.rejected}, str(diagnosis)
 
 
+@pytest.mark.slow
 def test_a_hysteresis_shorter_than_a_sample_does_not_stand_for_friction_and_a_spring():
     # A record of a campaign: two stops that gave way within a thousandth of a sample stood for both effects.
     pair, rng = ("stribeck_friction", "cubic_stiffness"), np.random.default_rng([78301, 2, 10])
@@ -101,6 +106,7 @@ def test_a_hysteresis_shorter_than_a_sample_does_not_stand_for_friction_and_a_sp
             check_parameter(finding.parameters[name], true, name, str(diagnosis))
 
 
+@pytest.mark.slow
 def test_what_is_not_in_the_catalogue_is_not_given_its_name():
     case = hidden_case("cubic_stiffness", excess=(2.0, 3.0))
     stand_ins = ["cubic_stiffness", "sine_stiffness", "end_stop", "dead_zone_stiffness"]
@@ -134,6 +140,7 @@ def test_a_wrong_hold_is_found_first():
     assert "intersample_hold" in {member.effect for member in finding.members}
 
 
+@pytest.mark.slow
 def test_a_wrong_hold_of_two_inputs_is_no_lost_half_of_a_sample():
     # Taken half a sample late as a whole, the record is nearer than with the hold of either input mended.
     rng, records = np.random.default_rng(7), []
@@ -167,6 +174,7 @@ def test_the_users_own_numbers_are_judged(entry):
 SEEDS = [[80441, 12, 0], [80441, 16, 5], [100010, 12, 17], [100004, 16, 3], [100011, 16, 0]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_mass_that_puts_the_free_run_out_of_step_is_found_alone_and_with_friction(seed):
     # Records of campaigns: 5 % of a mass had been said to be a step of it, friction to be wrong damping, the whole to
@@ -200,6 +208,7 @@ def test_what_the_raw_record_shows(effect_id):
     assert diagnosis.verdict == "noise", str(diagnosis)
 
 
+@pytest.mark.slow
 def test_samples_lost_without_a_gap_are_counted_and_dated():
     rng, form = generator("jump"), None
     while form != "jump":

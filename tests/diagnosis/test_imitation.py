@@ -20,6 +20,7 @@ def spring(effect, seed, number):
     return hidden.random_case(rng, effect, excess=(1.5, 4.0), samples=4000, dofs=(1, 2, 3))
 
 
+@pytest.mark.slow
 def test_a_law_that_went_astray_is_begun_where_one_ended_that_it_can_imitate():
     # A spring that softens to nothing: from the linear model a cubic one ends far behind a sine, which stays bounded.
     case = spring("cubic_stiffness", 92001, 2)

@@ -92,6 +92,7 @@ def test_positioning_system_has_the_published_friction():
     assert held_out(plain.extended, "position") <= 0.26 * before
 
 
+@pytest.mark.slow
 def test_pendulum_is_pulled_by_the_sine_of_its_angle_and_rubs_in_its_bearings():
     record = measured("pendulum_energy", "torque", "angle")
     diagnosis = jaxgray.diagnose(record)
@@ -119,6 +120,7 @@ def test_a_hand_among_the_data_of_the_fit_does_not_hide_gravity():
     assert push.force > 5 * push.applied and search.records[push.record].time[push.first] > 15
 
 
+@pytest.mark.slow
 def test_pendulum_on_its_way_up_is_pulled_by_the_sine_of_its_angle():
     # Torque that is far from what was commanded: noise at the forces would do as well on the data of the fit.
     record = measured("pendulum_pd", "torque", "angle")

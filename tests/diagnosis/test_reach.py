@@ -28,6 +28,7 @@ def test_what_stays_near_it_is_not(held):
     assert beyond_the_fit([record((-1.0, 1.0), (0, 1))], held) == ()
 
 
+@pytest.mark.slow
 def test_what_a_short_record_hardly_determines_does_not_go_astray_at_the_end():
     # One of two carts sticks in the data of the fit; refitted in finer steps its spring and damper went where they
     # liked, and an error of a thousandth of the held-out motion became one of half of it.

@@ -101,6 +101,7 @@ def test_a_threshold_too_many_does_not_pass_for_a_gain():
     assert abs(mass - case.system.M[0, 0]) < 5 * error < 0.1 * mass
 
 
+@pytest.mark.slow
 def test_elements_whose_thresholds_all_but_meet_share_an_error():
     # Their difference is all but undetermined; what they are together is as well determined as one element.
     rng = np.random.default_rng([98001, 0, zlib.crc32(b"play_hysteresis"), 1])

@@ -62,6 +62,7 @@ def test_a_measured_bench_agrees_with_its_frequency_response(capsys):
     assert abs(antiresonance[2] - antiresonance[4]) < 1.0
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own_is_found(capsys):
     own = example("own_effect")
     found = own.main(["--samples", "2000"])

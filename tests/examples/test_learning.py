@@ -15,6 +15,7 @@ def test_a_network_learns_the_force_and_leaves_the_matrices_right(capsys):
     assert "with the network" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_weights_learned_by_gradient_beat_the_default_on_unseen_records(capsys):
     found = example("learned_weights").main(["--unseen", "2", "--steps", "25"])
     weights = np.exp(found["theta"][1:])
@@ -24,6 +25,7 @@ def test_weights_learned_by_gradient_beat_the_default_on_unseen_records(capsys):
     assert "unseen" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_designed_excitation_shrinks_the_error_bar_as_predicted(capsys):
     design = example("designed_excitation")
     found = design.main(["--realisations", "60", "--steps", "15"])

@@ -87,6 +87,7 @@ def stacked(trees):
     return jax.tree.map(lambda *X: np.stack(X), *trees)
 
 
+@pytest.mark.slow
 def test_the_host_finds_the_same_and_derivatives_are_those_of_finite_differences(forward):
     at = stacked([place(case) for case in CASES])
     along = stacked([stacked([tuple(d) for d in directions(place(case))]) for case in CASES])

@@ -79,6 +79,7 @@ def test_masses_that_a_moving_base_leaves_open_are_said_to_be():
     np.testing.assert_allclose(open_masses.model.modes().natural_frequency_hz, twin.frequencies_hz, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_record_contradicts_a_structure_that_the_machine_does_not_have():
     # The first coordinate in other units than the second: no springs to the ground and between them make this K.
     rng = np.random.default_rng(5)
@@ -142,6 +143,7 @@ def test_a_refinement_that_loses_on_held_out_data_returns_its_start(monkeypatch)
     assert jaxgray.identify(records[0]).refinement.result == RESULTS.successful
 
 
+@pytest.mark.slow
 def test_noise_at_the_forces_does_not_take_a_refinement_below_its_start(monkeypatch):
     u, y, _ = data.reference_record(7, samples=4000)
     real = refinement.conic_steps

@@ -320,6 +320,7 @@ def test_documents_rows_and_page_say_what_entries_are(tmp_path):
     assert "Coordinates that no output measures" in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_auto_finds_the_number_and_shows_why():
     result = jaxgray.identify(recorded(100.0, samples=2000), hidden="auto")
     assert result.model.hidden == ("h1",)

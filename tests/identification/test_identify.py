@@ -48,6 +48,7 @@ def bound():
     return bound_of(data.sensitivities(TRUTH, record_of(0).u, H))
 
 
+@pytest.mark.slow
 def test_sixty_realisations_reach_the_cramer_rao_bound(bound):
     """One input, sixty noises: errors as small as they can be, intervals as wide as they should be."""
     clean = record_of(0, noise=0.0)
@@ -160,6 +161,7 @@ def test_start_on_the_edge_with_a_regular_truth():
     assert data.relative_errors(scaling.matrices_out(end.mass, end.damping, end.stiffness), TRUTH).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_short_noisy_records_stay_physical():
     rng = np.random.default_rng(0)
     for seed in range(6):

@@ -30,9 +30,9 @@ IDS = """cubic_stiffness quadratic_stiffness dead_zone_stiffness end_stop biline
 constant_force coulomb_friction stribeck_friction asymmetric_friction quadratic_drag dahl_friction
 position_dependent_friction fractional_damping bouc_wen_hysteresis maxwell_slip_hysteresis gyroscopic_coupling
 circulatory_coupling input_delay actuator_lag intersample_hold input_saturation input_dead_zone input_quadratic
-input_position_gain band_limited_input play_hysteresis actuator_creep sensor_offset sensor_drift sensor_delay sensor_lag sensor_crosstalk
-sensor_nonlinearity clock_scale dropped_samples unmodelled_mode stiffness_drift stiffness_step mass_step
-position_dependent_stiffness periodic_disturbance force_step""".split()
+input_position_gain band_limited_input play_hysteresis actuator_creep sensor_offset sensor_drift sensor_delay
+sensor_lag sensor_crosstalk sensor_nonlinearity clock_scale dropped_samples unmodelled_mode stiffness_drift
+stiffness_step mass_step position_dependent_stiffness periodic_disturbance force_step""".split()
 
 EFFECTS = CATALOGUE + MODEL_ERRORS
 NAMES = [effect.id for effect in EFFECTS]
