@@ -14,6 +14,7 @@ not how good the diagnosis is on records it has not seen.
 singles   every effect once, the best linear fit off by about 1.3, 3 and 12 times the noise
 nulls     nothing hidden: white, coloured and process noise, closed loops
 pairs     twenty pairs of effects, once each
+several   three or four effects at once, the best linear fit off by about 5 to 100 times the noise
 measured  records in DIR with a known answer; left out where DIR is not given
 """
 
@@ -41,6 +42,20 @@ SEED = 20261125
 LEVELS = {"singles 1.3": (1.2, 1.4), "singles 3": (2.7, 3.3), "singles 12": (11.0, 13.0)}
 NULLS = 6
 """Records of every kind of null."""
+
+SEVERAL = (
+    ("cubic_stiffness", "quadratic_stiffness", "constant_force", "sensor_offset"),
+    ("coulomb_friction", "dead_zone_stiffness", "sine_stiffness"),
+    ("input_saturation", "input_delay", "stribeck_friction"),
+    ("cubic_stiffness", "coulomb_friction", "input_delay"),
+    ("bilinear_stiffness", "coulomb_friction", "sensor_offset"),
+    ("end_stop", "coulomb_friction", "actuator_lag"),
+    ("quadratic_drag", "cubic_stiffness", "input_dead_zone"),
+    ("play_hysteresis", "coulomb_friction", "cubic_stiffness"),
+    ("unmodelled_mode", "coulomb_friction", "cubic_stiffness"),
+    ("stiffness_step", "coulomb_friction", "quadratic_stiffness"),
+)
+"""Effects of one record, the smallest of them alone off by 3 to 20 times the noise."""
 
 SIZE = {"samples": 4000, "dofs": (1, 2, 3)}
 
@@ -77,6 +92,10 @@ def cases():
         rng = np.random.default_rng([SEED, 3, k])
         make = lambda r, p=pair: hidden.random_pair(r, pair=p, excess=(1.5, 4.0), **SIZE)  # noqa: E731
         yield "pairs", " + ".join(pair), 0, rng, make, {}
+    for k, several in enumerate(SEVERAL):
+        rng = np.random.default_rng([SEED, 4, k])
+        make = lambda r, p=several: hidden.random_pair(r, pair=p, excess=(3.0, 20.0), **SIZE)  # noqa: E731
+        yield "several", " + ".join(several), 0, rng, make, {}
 
 
 def worth(row) -> int:
