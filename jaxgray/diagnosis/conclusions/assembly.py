@@ -98,7 +98,7 @@ def term_errors(fit: Refit, setup: Setup, index: int) -> dict[int, float]:
 
 
 def findings_of(context: SearchContext, state: SearchState, record: Record) -> tuple[Finding, ...]:
-    """Everything that was accepted, in order, with the class of each."""
+    """Everything that was accepted, with the class of each, what gains most first."""
     found = []
     for k, accepted in enumerate(state.accepted):
         members = [_member(context, state.fit or accepted.attempt.fit, k, record, 0.0)]
@@ -118,7 +118,7 @@ def findings_of(context: SearchContext, state: SearchState, record: Record) -> t
                 found_by=accepted.move.value,
             )
         )
-    return tuple(found)
+    return tuple(sorted(found, key=lambda finding: -finding.gain.percent))
 
 
 def _member(context: SearchContext, fit: Refit, index: int, record: Record, difference: float) -> Member:
