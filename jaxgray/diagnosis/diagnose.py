@@ -12,7 +12,7 @@ from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..mechanics.model import MechanicalModel
 from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
-from ..numerics.runtime import rarely_collecting, ready, relieve
+from ..numerics.runtime import ready, relieve, undisturbed
 from ..records import Record, check_compatible, preflight
 from ..records.cleaning import without_defects
 from . import settings
@@ -62,7 +62,7 @@ PASSES = 3
 """Times that outliers are looked for in what the linear model leaves."""
 
 
-@rarely_collecting()
+@undisturbed()
 def diagnose(
     record: Record | list[Record],
     *,

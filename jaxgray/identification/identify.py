@@ -9,7 +9,7 @@ from ..mechanics.drives import Force
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import rarely_collecting, ready, relieve
+from ..numerics.runtime import ready, relieve, undisturbed
 from ..records import Record, check_compatible, preflight
 from .hidden_order import identify_auto
 from .identify_hidden import HiddenRequest, identify_hidden, wants_hidden
@@ -41,7 +41,7 @@ NEAR = 0.05
 """Share of every output's power left by a refinement below which no other start is tried."""
 
 
-@rarely_collecting()
+@undisturbed()
 def identify(
     record: Record | list[Record],
     *,

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import ready
+from ..numerics.runtime import ready, undisturbed
 from ..records import Record, check_compatible
 from .initialization.physical_grid import physical_grid
 from .initialization.start import filled, model_run
@@ -104,6 +104,7 @@ class Sweep(Shown):
         return f"{self.unstable} of {cells} choices unstable, {self.failed} without a model"
 
 
+@undisturbed()
 def sweep(
     record: Record | list[Record],
     time_constants=None,

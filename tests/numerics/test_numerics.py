@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.signal
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from jaxgray.numerics.filters import correlation, filtered
 from jaxgray.numerics.lifting import free_response, respond
@@ -24,7 +25,7 @@ from jaxgray.numerics.matrix_logarithm import matrix_logarithm
 from jaxgray.numerics.outcomes import ComputationError
 from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver
 from jaxgray.numerics.riccati import kalman_gain
-from jaxgray.numerics.runtime import COLLECT_AFTER, rarely_collecting
+from jaxgray.numerics.runtime import COLLECT_AFTER, undisturbed
 
 
 @pytest.mark.parametrize("samples", [1, 31, 32, 500, 5000])
@@ -226,10 +227,22 @@ def test_collector_runs_rarely_only_meanwhile():
     usual = gc.get_threshold()
     try:
         gc.set_threshold(700, 11, 12)
-        with rarely_collecting():
-            with rarely_collecting():
+        with undisturbed():
+            with undisturbed():
                 assert gc.get_threshold() == (COLLECT_AFTER, 11, 12)
             assert gc.get_threshold() == (COLLECT_AFTER, 11, 12)
         assert gc.get_threshold() == (700, 11, 12)
     finally:
         gc.set_threshold(*usual)
+
+
+def test_products_have_one_thread_only_meanwhile():
+    def threads():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        with undisturbed():
+            with undisturbed():
+                assert threads() == {1}
+            assert threads() == {1}
+        assert threads() == {2}

@@ -13,7 +13,7 @@ from ...mechanics.drives import AbstractDrive
 from ...numerics.linear_algebra import triangle
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress, Silent
-from ...numerics.runtime import ready
+from ...numerics.runtime import ready, undisturbed
 from ...records import Record, check_compatible
 from ..identify import identify
 from ..initialization.start import POOR, StartOptions, filled, subspace_starts
@@ -39,6 +39,7 @@ EDGE = 1e-4
 """Smallest eigenvalue, relative to the largest, under which an end may be a trap of the Cholesky factors."""
 
 
+@undisturbed()
 def identify_many(
     records: Sequence[Record],
     *,
