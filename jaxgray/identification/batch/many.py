@@ -105,6 +105,21 @@ def identify_many(
     return result
 
 
+def choices(
+    records: Sequence[Record], *, time_constants=None, block_rows=None, weight=None, input_map=None
+) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Time constants [s] and block rows that `identify_many` would try for these records.
+
+    Given back to it, they make what it finds for a record independent of the other records of the call.
+
+    **Arguments:** as for `identify_many`; `weight`: default "moesp".
+
+    **Raises:** `ComputationError` when no start can be found for the longest records.
+    """
+    weight = pick("weight", "moesp" if weight is None else weight, WEIGHTS)
+    return _choices(list(records), drive_of(records[0], "force", input_map, False), time_constants, block_rows, weight)
+
+
 def _scalings(records: list[Record]) -> tuple[dict[int, Scaling], dict[int, ComputationError]]:
     """Scaling of every record, and the failures of those that have none."""
     scalings, refused = {}, {}
