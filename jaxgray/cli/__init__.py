@@ -29,8 +29,8 @@ def main(argv: list[str] | None = None) -> int:
 
     try:
         return _run(app, argv)
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+    except KeyboardInterrupt as stopped:
+        print(f"interrupted: {stopped}" if str(stopped) else "interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # Whoever read the output has gone; Python would complain again when it closes the stream.
@@ -76,7 +76,7 @@ def explain(error: Exception) -> tuple[int, str]:
         return WRONG_INPUT, f"{where}{error.strerror or error}."
     if isinstance(error, ValueError | ImportError):
         return WRONG_INPUT, str(error)
-    if name == "ComputationError":
+    if name in ("ComputationError", "Lost"):
         return FAILED, str(error)
     if isinstance(error, MemoryError):
         return FAILED, "not enough memory; use a shorter record, fewer time constants or fewer block rows."

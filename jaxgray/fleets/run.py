@@ -198,16 +198,12 @@ def complete(store: Store, options: Options, files, settings: Settings, engine, 
         carry_out(
             workers, work, jobs, [len(group) for group in groups], arrived, progress, len(files) - len(left), split
         )
-    except Lost as error:
-        store.tidy()
+    except (Lost, KeyboardInterrupt) as error:
         kept = len(store.keys() & {key for _, key, _ in files})
-        raise Lost(
-            f"{error}. The results of {kept} of {len(files)} records are kept in {store.folder}; call again for the "
-            "rest."
-        ) from None
-    except BaseException:
+        text = f"the results of {kept} of {len(files)} records are kept in {store.folder}; call again for the rest."
+        raise type(error)(f"{error}; {text}" if str(error) else text) from None
+    finally:
         store.tidy()
-        raise
     return len(left)
 
 
@@ -289,3 +285,19 @@ def _keys(files: list[Path], options: Options, store: Store) -> tuple[dict[Path,
     if hashes != known:
         write_whole(store.folder / HASHES, json.dumps(known | hashes).encode())
     return keys, unread
+
+
+def summary_document(result: Fleet) -> dict:
+    """What a fleet came to, as the JSON schema `jaxgray/fleet/1`."""
+    return {
+        "schema": "jaxgray/fleet/1",
+        "folder": result.folder,
+        "records": len(result.files),
+        "computed": result.computed,
+        "outcomes": result.outcomes,
+        "failures": result.failures,
+        "table": result.table,
+        "matrices": result.matrices,
+        "page": result.page,
+        "warnings": [],
+    }
