@@ -5,12 +5,17 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..numerics.progress import AbstractProgress, Silent
+from ..report.export import write_json
 from ..report.page import library_script, rendered
+from .drift.changes import FEWEST
+from .drift.machines import Drift, drifts_of, machines_of
+from .drift.score import WEAR
 from .drift.series import Naming
+from .drift.shown import drift_document, drift_section
 from .page import population_page
 from .runner import AbstractEngine, Lost, carry_out, engines
 from .store import Store, write_whole
@@ -31,7 +36,8 @@ class Fleet:
 
     `folder`: where its results are; `files` and `keys` of the results, one a record; `outcomes`: how many records
     came out how, by verdict, "identified" or "failed"; `failures`: reason by file; `computed`: records that were
-    computed in this call, the others had been before; `table`, `matrices`, `page`: files for all of them.
+    computed in this call, the others had been before; `table`, `matrices`, `page`: files for all of them; `drifts`:
+    what has changed in machines over time; `not_compared`: why that is not known of a machine.
     """
 
     folder: Path
@@ -43,6 +49,8 @@ class Fleet:
     table: Path
     matrices: Path | None
     page: Path
+    drifts: tuple[Drift, ...] = ()
+    not_compared: dict[str, str] = field(default_factory=dict)
 
     def result(self, file) -> dict:
         """The result of one file, as it is in the store.
@@ -59,6 +67,7 @@ class Fleet:
         lines += [f"  {file}: {reason}" for file, reason in list(self.failures.items())[:10]]
         if len(self.failures) > 10:
             lines.append(f"  and {len(self.failures) - 10} failures more, in {self.table.name}")
+        lines += [f"  {drift.sentence}" for drift in self.drifts]
         return "\n".join(lines)
 
 
@@ -77,6 +86,7 @@ def fleet(
     machine: str | None = None,
     covariates=(),
     when_column: str | None = None,
+    wear=WEAR,
     pages: bool = True,
     programs=None,
     again: bool = False,
@@ -106,6 +116,8 @@ def fleet(
         `"{machine}_{when}.parquet"`; default none.
     - `covariates`: columns whose means are kept with each result, such as a temperature; default none.
     - `when_column`: a column whose mean says when, in place of the file name; default none.
+    - `wear`: ids of effects that may begin or grow with a machine's age, looked for where `machine` is given; default
+        friction, drag, play, stops, and springs that stiffen.
     - `pages`: write a page for every record (default).
     - `programs`: folder of compiled programs that workers share; default `programs` below `out`.
     - `again`: compute anew what has failed before; default off.
@@ -128,17 +140,29 @@ def fleet(
     store = Store(out)
     store.open()
     progress.stage("reading the files' bytes")
-    keys, unread = _keys(files, options, store)
+    contents, unread = _contents(files, store)
+    keys = {file: key_of(content, options.digest()) for file, content in contents.items()}
     with engines(client, scheduler, workers) as engine:
         settings = Settings(str(store.folder / "programs" if programs is None else programs), pages, again)
         asked = [(str(file), keys[file], {}) for file in files if file in keys]
         computed = complete(store, options, asked, settings, engine, progress)
+        rows = [row_of(str(file), store, keys.get(file), unread.get(file), naming) for file in files]
+        drifts, alone = (), {}
+        if naming.pattern is not None:
+            looked_for = dataclasses.replace(
+                options, task="score", fitting={"effects": list(wear), "input_map": options.fitting.get("input_map")}
+            )
+            texts = {str(file): content for file, content in contents.items()}
+            drifts, alone, more = _drift(store, rows, looked_for, texts, naming, settings, engine, progress)
+            computed += more
     progress.stage("tabulating")
-    rows = [row_of(str(file), store, keys.get(file), unread.get(file), naming) for file in files]
     documents = ((keys.get(file), store.read(keys[file]) if file in keys else None) for file in files)
     table, matrices = write_tables(store.folder, rows, documents)
     page = store.folder / "index.html"
-    write_whole(page, rendered(population_page(rows, options.task)).encode())
+    sections = () if naming.pattern is None else (drift_section(drifts, alone),)
+    write_whole(page, rendered(population_page(rows, options.task, sections)).encode())
+    if naming.pattern is not None:
+        write_json(drift_document(drifts, alone), store.folder / "drift.json")
     if pages:
         write_whole(store.pages / "library.js", library_script().encode())
     return Fleet(
@@ -151,7 +175,32 @@ def fleet(
         table,
         matrices,
         page,
+        drifts,
+        alone,
     )
+
+
+def _drift(store: Store, rows, options: Options, contents: dict[str, str], naming: Naming, settings, engine, progress):
+    """Changes of machines, why others were not compared, and how many records were scored in this call."""
+    results = [store.read(row["key"]) if row["outcome"] != "failed" else None for row in rows]
+    machines, alone = machines_of(rows, results, naming.covariates)
+    digest, asked = options.digest(), []
+    for machine in machines:
+        for file, reference in zip(machine.files, machine.references):
+            own = reference | {"noise": list(machine.noise)}
+            asked.append((file, key_of(contents[file], digest, own), own))
+    computed = complete(store, options, asked, settings, engine, progress) if asked else 0
+    progress.stage("comparing machines over time")
+    keys, kept, scores = {file: key for file, key, _ in asked}, [], []
+    for machine in machines:
+        found = [(store.read(keys[file]) or {}).get("document") for file in machine.files]
+        seen = [k for k, document in enumerate(found) if document is not None]
+        if len(seen) < FEWEST:
+            alone[machine.name] = f"{len(seen)} records could be compared with a reference"
+            continue
+        kept.append(machine.only(seen))
+        scores.append([found[k] for k in seen])
+    return tuple(drifts_of(kept, scores)), alone, computed
 
 
 @dataclass(frozen=True)
@@ -258,13 +307,13 @@ def names(argument: str, given) -> tuple[str, ...]:
     return tuple(name.strip() for name in found)
 
 
-def _keys(files: list[Path], options: Options, store: Store) -> tuple[dict[Path, str], dict[Path, str]]:
-    """Key of every file that can be read, and why the others cannot."""
+def _contents(files: list[Path], store: Store) -> tuple[dict[Path, str], dict[Path, str]]:
+    """Hash of every file that can be read, and why the others cannot."""
     try:
         known = json.loads((store.folder / HASHES).read_text())
     except (OSError, ValueError):
         known = {}
-    digest, keys, unread, hashes = options.digest(), {}, {}, {}
+    contents, unread, hashes = {}, {}, {}
 
     def hashed(file: Path):
         try:
@@ -281,10 +330,10 @@ def _keys(files: list[Path], options: Options, store: Store) -> tuple[dict[Path,
             if isinstance(found, str):
                 unread[file] = found
             else:
-                hashes[str(file)], keys[file] = found, key_of(found[2], digest)
+                hashes[str(file)], contents[file] = found, found[2]
     if hashes != known:
         write_whole(store.folder / HASHES, json.dumps(known | hashes).encode())
-    return keys, unread
+    return contents, unread
 
 
 def summary_document(result: Fleet) -> dict:
@@ -296,6 +345,7 @@ def summary_document(result: Fleet) -> dict:
         "computed": result.computed,
         "outcomes": result.outcomes,
         "failures": result.failures,
+        "drifts": drift_document(result.drifts, result.not_compared)["drifts"],
         "table": result.table,
         "matrices": result.matrices,
         "page": result.page,

@@ -177,6 +177,7 @@ def engine_of(client, scheduler: str | None, workers: int | None) -> AbstractEng
         dashboard_address=None,
         silence_logs=50,
         env=environment(),
+        preload=["jaxgray.fleets.worker"],
     )
     client = distributed.Client(cluster, set_as_default=False)
     return DistributedEngine(client, cluster)
@@ -234,7 +235,7 @@ def carry_out(
     total, done = behind + sum(weights), 0
     finished: queue.SimpleQueue = queue.SimpleQueue()
     running: dict = {}
-    begun = time.monotonic()
+    first: tuple[float, int] | None = None
     _tell(progress, behind, total, None)
     try:
         while waiting or running:
@@ -264,7 +265,11 @@ def carry_out(
                 error = killed
             arrived(argument, error)
             done += weight
-            left = (time.monotonic() - begun) / max(done, 1) * (total - behind - done)
+            # What comes first has waited for compilations.
+            first = (time.monotonic(), done) if first is None else first
+            left = None
+            if done > first[1]:
+                left = (time.monotonic() - first[0]) / (done - first[1]) * (total - behind - done)
             _tell(progress, behind + done, total, left)
     except BaseException:
         for future, _, _ in running.values():

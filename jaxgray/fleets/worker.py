@@ -1,6 +1,8 @@
 """What a worker process does: it reads files, computes, keeps the results in the store, and returns their keys."""
 
 import os
+import signal
+import threading
 import time
 import warnings
 
@@ -30,6 +32,12 @@ def environment() -> dict[str, str]:
     if "xla_cpu_multi_thread_eigen" not in flags:
         flags = f"{flags} {ONE_THREAD}".strip()
     return found | {"XLA_FLAGS": flags}
+
+
+def dask_setup(worker) -> None:
+    """Leave Ctrl-C to the process that asked: a worker is told what to do by its scheduler."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def work(job: Job) -> list[str]:
