@@ -20,7 +20,7 @@ from .page import population_page
 from .runner import AbstractEngine, Lost, carry_out, engines
 from .store import Store, write_whole
 from .tables import row_of, write_tables
-from .tasks import TASKS, Job, Options, batches, content_hash, key_of, listed
+from .tasks import TASKS, Job, Options, batches, content_hash, key_of, listed, names
 from .worker import failed_result, plan, work
 
 BATCH = 8
@@ -153,8 +153,7 @@ def fleet(
                 options, task="score", fitting={"effects": list(wear), "input_map": options.fitting.get("input_map")}
             )
             texts = {str(file): content for file, content in contents.items()}
-            drifts, alone, more = _drift(store, rows, looked_for, texts, naming, settings, engine, progress)
-            computed += more
+            drifts, alone, _ = _drift(store, rows, looked_for, texts, naming, settings, engine, progress)
     progress.stage("tabulating")
     documents = ((keys.get(file), store.read(keys[file]) if file in keys else None) for file in files)
     table, matrices = write_tables(store.folder, rows, documents)
@@ -294,17 +293,6 @@ def _options(task, inputs, outputs, reading, fitting, columns) -> Options:
         fitting,
         tuple(columns),
     )
-
-
-def names(argument: str, given) -> tuple[str, ...]:
-    """Names of columns, one or several.
-
-    **Raises:** `ValueError` where there is none.
-    """
-    found = (given,) if isinstance(given, str) else tuple(given)
-    if not found or not all(isinstance(name, str) and name.strip() for name in found):
-        raise ValueError(f"{argument} is {given!r}; give the name of one or several columns.")
-    return tuple(name.strip() for name in found)
 
 
 def _contents(files: list[Path], store: Store) -> tuple[dict[Path, str], dict[Path, str]]:

@@ -221,13 +221,14 @@ def carry_out(
     behind: int = 0,
     split: Callable | None = None,
     found: Callable | None = None,
+    what: str = "records",
 ) -> None:
     """Carry out a function for every argument, so many at a time as there are workers and a few.
 
     **Arguments:** `engine`; `function`, `arguments`; `weights`: records in each; `arrived`: called with the argument,
     and None or the error of a call on which workers died; `progress`; `behind`: records done before; `split`: of an
     argument on which workers died, the arguments to try instead with their weights, none where there are none; `found`:
-    called with what each call returned.
+    called with what each call returned; `what` the weights count.
 
     **Raises:** `Lost` where the workers are gone; what a call raised.
     """
@@ -236,7 +237,7 @@ def carry_out(
     finished: queue.SimpleQueue = queue.SimpleQueue()
     running: dict = {}
     first: tuple[float, int] | None = None
-    _tell(progress, behind, total, None)
+    _tell(progress, behind, total, None, what)
     try:
         while waiting or running:
             while waiting and len(running) < AHEAD * engine.workers:
@@ -270,7 +271,7 @@ def carry_out(
             left = None
             if done > first[1]:
                 left = (time.monotonic() - first[0]) / (done - first[1]) * (total - behind - done)
-            _tell(progress, behind + done, total, left)
+            _tell(progress, behind + done, total, left, what)
     except BaseException:
         for future, _, _ in running.values():
             with contextlib.suppress(Exception):
@@ -278,8 +279,8 @@ def carry_out(
         raise
 
 
-def _tell(progress: AbstractProgress, done: int, total: int, left: float | None) -> None:
-    text = f"{done} of {total} records"
+def _tell(progress: AbstractProgress, done: int, total: int, left: float | None, what: str) -> None:
+    text = f"{done} of {total} {what}"
     if left is not None and done < total:
         text += f", {_duration(left)} left"
     progress.stage(text, fraction=done / max(total, 1))

@@ -96,6 +96,17 @@ def listed(paths) -> list[Path]:
     return list(found)
 
 
+def names(argument: str, given) -> tuple[str, ...]:
+    """Names of columns, one or several.
+
+    **Raises:** `ValueError` where there is none.
+    """
+    found = (given,) if isinstance(given, str) else tuple(given)
+    if not found or not all(isinstance(name, str) and name.strip() for name in found):
+        raise ValueError(f"{argument} is {given!r}; give the name of one or several columns.")
+    return tuple(name.strip() for name in found)
+
+
 def key_of(content: str, digest: str, own: dict | None = None) -> str:
     """The name of a result.
 
