@@ -10,9 +10,12 @@ tables       results as files for pandas, polars, DuckDB and xarray
 population   outliers and trends
 page         the population as one page
 drift        machines over time
+long         one record that is larger than a machine
 """
 
+from .long.compressed import compress_on_workers
+from .long.refinement import refine_on_workers
 from .run import Fleet, fleet
 from .runner import Lost
 
-__all__ = ["Fleet", "Lost", "fleet"]
+__all__ = ["Fleet", "Lost", "compress_on_workers", "fleet", "refine_on_workers"]

@@ -15,7 +15,7 @@ RATE = 0.05
 """Expected share of false ones among the alarms, over all machines and parameters."""
 
 SIGNIFICANT = 0.01
-"""Probability, over all candidates and beginnings, under which a machine has one more change."""
+"""Probability, over all causes and beginnings, under which a machine that has changed has one more change."""
 
 LOOK_ALIKE = 6.0
 """Twice the logarithm of a likelihood ratio up to which another cause explains as much."""
@@ -233,7 +233,7 @@ def drifts_of(machines: list[Machine], documents: list[list[dict]]) -> list[Drif
         alarms = {j: change for (i, j, change), keep in zip(tests, kept) if keep and i == m}
         every = {j: change for i, j, change in tests if i == m}
         if alarms:
-            found += _named(machine, statistics[m], alarms, every)
+            found += _named(machine, statistics[m], alarms, every, len(machines))
     return found
 
 
@@ -242,8 +242,12 @@ def _common(weights: np.ndarray) -> np.ndarray:
     return np.ones(len(weights)) if np.std(weights) < 0.15 * np.mean(weights) else weights
 
 
-def _named(machine: Machine, known: _Statistics, alarms: dict, every: dict) -> list[Drift]:
-    """The causes of a machine's alarms: one after the other what explains most of all its records."""
+def _named(machine: Machine, known: _Statistics, alarms: dict, every: dict, machines: int) -> list[Drift]:
+    """The causes of a machine's alarms: one after the other what explains most of all its records.
+
+    A cause must be significant by itself, over all causes and beginnings, the first one over all machines, too: one
+    change raises several alarms, and so many would admit false ones elsewhere.
+    """
     Z = conditions(machine.covariates)
     shapes = shapes_of(Z, np.ones(len(Z)))
     curves = np.array([shapes.curve(k) for k in range(len(shapes.kinds))])
@@ -254,7 +258,7 @@ def _named(machine: Machine, known: _Statistics, alarms: dict, every: dict) -> l
         best = gains.max(axis=1)
         j = int(np.argmax(best))
         chance = scipy.stats.chi2.sf(best[j], 1) * gains.size
-        if found and chance > SIGNIFICANT:
+        if chance > (SIGNIFICANT if found else RATE / machines):
             break
         k = int(np.argmax(gains[j]))
         kind, begins = shapes.kinds[k], int(shapes.begins[k])

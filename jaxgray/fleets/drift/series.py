@@ -35,7 +35,7 @@ class Naming:
                 "{when}, such as '{machine}_{when}.parquet'."
             )
         text = "".join(
-            f"(?P<{part[1:-1]}>.+?)" if part.startswith("{") else ".*" if part == "*" else re.escape(part)
+            f"(?P<{part[1:-1]}>.+)" if part.startswith("{") else ".*" if part == "*" else re.escape(part)
             for part in re.split(r"(\{\w+\}|\*)", machine)
             if part
         )
@@ -65,10 +65,12 @@ class Naming:
 
 def _number(text: str) -> float | None:
     """A number, or an ISO date as days since 1970; None for neither."""
-    try:
-        return float(text)
-    except ValueError:
-        pass
+    # To Python an underscore may stand inside a number.
+    if "_" not in text:
+        try:
+            return float(text)
+        except ValueError:
+            pass
     for form in (text, text.replace("_", "T"), text.replace("-", "")):
         try:
             moment = datetime.datetime.fromisoformat(form)
