@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from independent import REFERENCE, random_steps, simulate
 
+from jaxgray import MechanicalModel
 from jaxgray.fleets import compress_on_workers, refine_on_workers
 from jaxgray.fleets.long.source import Source
 from jaxgray.records.chunks import count_rows, read_rows
@@ -50,7 +51,8 @@ def test_factors_of_chunks_join_to_that_of_one_pass(file, executor):
 
 def test_the_refined_model_is_within_its_errors(file, executor):
     record = compress_on_workers(file, client=executor, chunk_samples=4096, **OPTIONS)
-    found = refine_on_workers(record, client=executor, segment_samples=2048)
+    start = MechanicalModel(*(X * (1 + 0.05 * k) for k, X in enumerate(REFERENCE.values(), start=-1)))
+    found = refine_on_workers(record, start, client=executor, segment_samples=2048)
     for name, true in zip(("mass", "damping", "stiffness"), REFERENCE.values()):
         error = np.asarray(getattr(found.model, name)) - true
         assert np.all(np.abs(error) < 4.5 * found.standard_errors[name])
