@@ -256,7 +256,7 @@ def long(options, folder):
 
     os.environ["PYTHONPATH"] = f"{ROOT}:{pathlib.Path(__file__).parent}"
     cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, env=environment(), dashboard_address=None, silence_logs=50
+        n_workers=2, threads_per_worker=1, env=environment(), dashboard_address="127.0.0.1:0", silence_logs=50
     )
     with cluster, distributed.Client(cluster) as client:
         few = min(options.samples, 10**6)

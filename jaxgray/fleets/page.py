@@ -10,7 +10,7 @@ from ..diagnosis.words.titles import title_of
 from ..numerics.text import plus_minus
 from ..report.page_parts import Fact, Page, Plot, Section, Table, Words, axis
 from ..report.rows import Rows, number
-from .population import FALSE_DISCOVERIES, FAR_OUT, all_parameters, outliers, trends, values_of
+from .population import FALSE_DISCOVERIES, FAR_OUT, FEWEST, all_parameters, outliers, trends, values_of
 
 MOST_ROWS = 1000
 """Records in the page's table; the file of the table has all of them."""
@@ -125,7 +125,7 @@ def _distributions(rows: list[dict]) -> Section:
         own = f"{np.median(error):.2g}" if len(error) else "–"
         spread = f"{np.std(x, ddof=1):.3g}" if len(x) > 1 else "–"
         body.append((_titled(name), str(len(x)), f"{middle:.5g}", spread, own, f"{low:.5g} to {high:.5g}"))
-        if len(plots) < MOST_PLOTS and len(x) > 1 and np.ptp(x) > 0:
+        if len(plots) < MOST_PLOTS and len(x) >= FEWEST and np.ptp(x) > 0:
             plots.append(_histogram(name, x))
     head = "parameter", "records", "median", "standard deviation", "median standard error", "95 % of the records"
     table = Table(Rows(head, tuple(body)), "Spread of the parameters")
@@ -157,7 +157,7 @@ def _histogram(name: str, x: np.ndarray) -> Plot:
     }
     layout = {"xaxis": axis(_titled(name)), "yaxis": axis("records"), "showlegend": False, "hovermode": "closest"}
     beyond = len(x) - len(inside)
-    caption = f"{beyond} records lie beyond." if beyond else ""
+    caption = f"{beyond} {'record lies' if beyond == 1 else 'records lie'} beyond." if beyond else ""
     alt = f"Distribution of {_titled(name)}: median {middle:.5g}."
     return Plot(f"spread-{name}", [bars], layout, 210, alt, caption, width="third")
 

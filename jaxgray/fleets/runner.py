@@ -174,7 +174,8 @@ def engine_of(client, scheduler: str | None, workers: int | None) -> AbstractEng
         n_workers=cores() if workers is None else workers,
         threads_per_worker=1,
         processes=True,
-        dashboard_address=None,
+        # Whatever port is free: several fleets may run on a machine.
+        dashboard_address="127.0.0.1:0",
         silence_logs=50,
         env=environment(),
         preload=["jaxgray.fleets.worker"],

@@ -85,7 +85,7 @@ def made_machine(rng, name, *, step=0.0, wear=0.0, temperature=None):
     reference = {"mass": np.eye(2), "damping": np.eye(2), "stiffness": 50 * np.eye(2)}
     files = tuple(f"{name}_{k}" for k in range(RECORDS))
     when = tuple(str(k) for k in range(RECORDS))
-    return Machine(name, files, when, temperature[:, None], (reference,) * RECORDS, (1.0, 1.0)), documents
+    return Machine(name, files, when, temperature[:, None], (reference,) * RECORDS, (1.0, 1.0), ("y1", "y2")), documents
 
 
 def test_machines_that_change_are_named_and_others_are_not(temperature):
@@ -99,7 +99,7 @@ def test_machines_that_change_are_named_and_others_are_not(temperature):
     assert abs(step.relative - 0.01) < 4 * step.change.standard_error / 50
     assert wear.change.kind == "ramp" and abs(wear.change.begins - 25) <= 2
     assert abs(wear.change.size - 0.05 * 15) < 4 * wear.change.standard_error
-    assert "stiffness[0,0] of m3 rises since record 18" in step.sentence
+    assert "stiffness y1 of m3 rises since record 18" in step.sentence
     assert "Coulomb friction at y1 of m5 begins and grows since record" in wear.sentence
 
 

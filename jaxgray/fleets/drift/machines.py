@@ -32,7 +32,7 @@ class Machine:
     """The records of one machine in the order of time.
 
     `name`; `files`; `when`: as text; `covariates`; `references`: mass, damping, stiffness at the conditions of every
-    record; `noise`: standard deviation per output.
+    record; `noise`: standard deviation per output; `outputs`: their names.
     """
 
     name: str
@@ -41,18 +41,20 @@ class Machine:
     covariates: Float[np.ndarray, "records covariates"]
     references: tuple[dict, ...]
     noise: tuple[float, ...]
+    outputs: tuple[str, ...]
 
     def only(self, records: list[int]) -> "Machine":
         """The same with some of its records."""
         files, when, references = ([part[k] for k in records] for part in (self.files, self.when, self.references))
-        return Machine(self.name, tuple(files), tuple(when), self.covariates[records], tuple(references), self.noise)
+        kept = tuple(files), tuple(when), self.covariates[records], tuple(references)
+        return Machine(self.name, *kept, self.noise, self.outputs)
 
 
 @dataclass(frozen=True)
 class Drift:
     """One change of a machine.
 
-    `machine`; `name`: of the parameter, "stiffness[0,0]", or of effect and place, "coulomb_friction y1"; `title` in
+    `machine`; `name`: of the parameter, "stiffness[0,0]", or effect and place, "coulomb_friction y1"; `title` in
     words; `change`; `since`: file of its first record, `when` as text; `relative`: size by the reference's value, None
     for effects; `probability`: of the test with all other parameters as nuisances; `alternatives`: names that explain
     as much; `sentence`; `estimates` over the records with their `errors`, all entries of M, D, K free in each.
@@ -134,6 +136,7 @@ def _machine(name: str, rows: list[dict], results: list[dict], covariates: tuple
         conditions_of,
         tuple(_matrices(x, n) for x in smooth),
         tuple(float(f"{v:.6g}") for v in noise),
+        tuple(models[0]["output_names"]),
     )
 
 
@@ -315,7 +318,7 @@ def _drift(machine: Machine, known: _Statistics, j, change: Change, kind, begins
         r, c = (int(k) for k in place.rstrip("]").split(","))
         value = float(np.median([reference[matrix][r][c] for reference in machine.references]))
         relative = change.size / value if value else None
-        title = name
+        title = f"{matrix} {machine.outputs[r]}" + ("" if r == c else f" {machine.outputs[c]}")
         verb = ("rises" if change.size > 0 else "falls") + ("" if kind == "step" else " gradually")
     else:
         effect, _, place = name.partition(" ")

@@ -14,6 +14,7 @@ from ...numerics.linear_algebra import triangle
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress, Silent
 from ...numerics.runtime import ready
+from ...numerics.stored_programs import stored
 from ...records import Record, check_compatible
 from ..identify import identify
 from ..initialization.start import POOR, StartOptions, filled, subspace_starts
@@ -176,19 +177,37 @@ def _choices(records, drive, time_constants, block_rows, weight) -> tuple[np.nda
     raise failure
 
 
+def _each(arrays, static, rows: tuple[int, ...], weight, every_coordinate: bool, gaps: bool):
+    """Start and refinement of one record, and the place of its start in the grid."""
+    one, setting, form, poles = eqx.combine(arrays, static)
+    start, choice = start_one(one, setting, poles, rows, weight, every_coordinate=every_coordinate)
+    return refine_one(start, one, setting, form, gaps=gaps), choice
+
+
+@stored
+def _side_by_side(stacked, static, rows, weight, every_coordinate, gaps):
+    """A chunk on one device; kept on disk whole, since tracing it takes as long as many records do."""
+    return jax.vmap(lambda arrays: _each(arrays, static, rows, weight, every_coordinate, gaps))(stacked)
+
+
 @functools.cache
 def _program(devices: tuple, rows: tuple[int, ...], weight, every_coordinate: bool, gaps: bool, static):
     """The compiled start and refinement of a chunk, its records spread over the devices."""
+    if len(devices) == 1:
 
-    def one(arrays):
-        one, setting, form, poles = eqx.combine(arrays, static)
-        start, choice = start_one(one, setting, poles, rows, weight, every_coordinate=every_coordinate)
-        return refine_one(start, one, setting, form, gaps=gaps), choice
+        def alone(stacked):
+            return _side_by_side(jax.device_put(stacked, devices[0]), static, rows, weight, every_coordinate, gaps)
 
+        return alone
     mesh = jax.sharding.Mesh(np.array(devices), ("records",))
     spec = jax.sharding.PartitionSpec("records")
-    spread = jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-    return jax.jit(spread), jax.sharding.NamedSharding(mesh, spec)
+
+    def one(arrays):
+        return _each(arrays, static, rows, weight, every_coordinate, gaps)
+
+    spread = jax.jit(jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
+    sharding = jax.sharding.NamedSharding(mesh, spec)
+    return lambda stacked: spread(jax.device_put(stacked, sharding))
 
 
 def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> tuple[Refined, np.ndarray]:
@@ -214,9 +233,9 @@ def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> 
         rows_of = [eqx.partition(arrays(k), eqx.is_array) for k in picked]
         dynamic, static = [d for d, _ in rows_of], rows_of[0][1]
         dynamic += dynamic[-1:] * (size - len(picked))
-        program, sharding = _program(tuple(devices), rows, weight, every_coordinate, gaps, static)
+        program = _program(tuple(devices), rows, weight, every_coordinate, gaps, static)
         stacked = jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *dynamic)
-        return program(jax.device_put(stacked, sharding))
+        return program(stacked)
 
     # One after the other: two programs with batches of decompositions at once may wait for ever (`numerics.backend`).
     parts = []
