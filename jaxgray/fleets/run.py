@@ -26,6 +26,9 @@ from .worker import failed_result, plan, work
 BATCH = 8
 """Records of one shape that a worker identifies side by side, and loses at most where it dies."""
 
+LOOKED_AT = 200
+"""Files of a large fleet that what holds for all records is decided from."""
+
 HASHES = "hashes.json"
 """Hashes of the files' bytes by path, size and time of change, so that files that have not changed are not read."""
 
@@ -246,10 +249,12 @@ def complete(store: Store, options: Options, files, settings: Settings, engine, 
         carry_out(
             workers, work, jobs, [len(group) for group in groups], arrived, progress, len(files) - len(left), split
         )
-    except (Lost, KeyboardInterrupt) as error:
+    except (Lost, KeyboardInterrupt, OSError) as error:
         kept = len(store.keys() & {key for _, key, _ in files})
-        text = f"the results of {kept} of {len(files)} records are kept in {store.folder}; call again for the rest."
-        raise type(error)(f"{error}; {text}" if str(error) else text) from None
+        text = f"the results of {kept} of {len(files)} records are kept in {store.folder}; call again for the rest"
+        if isinstance(error, OSError):
+            raise OSError(error.errno, f"{error.strerror or error}; {text}", error.filename) from None
+        raise type(error)(f"{error}; {text}." if str(error) else f"{text}.") from None
     finally:
         store.tidy()
     return len(left)
@@ -263,10 +268,18 @@ def _planned(store: Store, job: Job, workers: AbstractEngine, progress: Abstract
         return known
     progress.stage("looking at some records first")
     made: list[dict] = []
-    asked = dataclasses.replace(job, files=tuple((path, key, {}) for path, key, _ in job.files))
-    carry_out(workers, plan, [asked], [0], lambda *_: None, Silent(), found=made.append)
-    store.write_plan(name, made[0])
+    some = job.files[:: max(1, len(job.files) // LOOKED_AT)]
+    asked = dataclasses.replace(job, files=tuple((path, key, {}) for path, key, _ in some))
+    carry_out(workers, plan, [asked], [0], _refuse, Silent(), found=made.append)
+    # Where no record could be read, later ones may.
+    if made[0]:
+        store.write_plan(name, made[0])
     return made[0]
+
+
+def _refuse(_, error) -> None:
+    if error is not None:
+        raise error
 
 
 def _options(task, inputs, outputs, reading, fitting, columns) -> Options:

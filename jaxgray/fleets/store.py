@@ -57,8 +57,11 @@ class Store:
             return {e.name[:-5] for e in entries if e.name.endswith(".json") and not e.name.startswith(".")}
 
     def read(self, key: str) -> dict | None:
-        """A result; None where it is not there, or not whole, as after a crash of the disk."""
-        return _read(self.results / f"{key}.json")
+        """A result; None where it is not there. One that is not whole, as after a crash of the disk, is removed."""
+        found = _read(self.results / f"{key}.json")
+        if found is None:
+            self.remove(key)
+        return found
 
     def write(self, key: str, document: dict) -> None:
         """Keep a result.

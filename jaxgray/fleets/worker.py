@@ -1,5 +1,6 @@
 """What a worker process does: it reads files, computes, keeps the results in the store, and returns their keys."""
 
+import multiprocessing
 import os
 import signal
 import threading
@@ -110,7 +111,10 @@ def _start_of(records, options: Options) -> dict:
 
 
 def _prepare(programs: str | None) -> None:
-    """64-bit floats, and compiled programs where all workers find them."""
+    """One thread, 64-bit floats, and compiled programs where all workers find them."""
+    # A cluster of somebody else has not been told; a process of the user's own is left as it is.
+    if multiprocessing.parent_process() is not None:
+        os.environ.update(environment())
     import jax
 
     from ..numerics.backend import processor

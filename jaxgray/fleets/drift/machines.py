@@ -88,6 +88,10 @@ def machines_of(rows: list[dict], results: list[dict | None], covariates: tuple[
     usual = _usual_channels(results)
     machines, left = [], {}
     for name, members in sorted(groups.items()):
+        odd = next((why for why in (_beyond(results[k]) for k in members) if why), None)
+        if odd is not None:
+            left[name] = odd
+            continue
         members.sort(key=lambda k: (_time(rows[k]), rows[k]["file"]))
         members = [k for k in members if _channels(results[k]) == usual]
         if len(members) < FEWEST:
@@ -95,6 +99,16 @@ def machines_of(rows: list[dict], results: list[dict | None], covariates: tuple[
             continue
         machines.append(_machine(name, [rows[k] for k in members], [results[k] for k in members], covariates))
     return machines, left
+
+
+def _beyond(result: dict) -> str | None:
+    """Why a model is of a kind whose parameters are not followed; None where they are."""
+    model = _model(result)
+    if model.get("base") is not None:
+        return "base excitation leaves the scale of the masses open"
+    if model.get("hidden"):
+        return "coordinates that no output measures are not followed"
+    return None
 
 
 def _time(row: dict) -> tuple:
