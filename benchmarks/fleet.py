@@ -127,6 +127,7 @@ def robust(options, folder):
     last = 0
     while process.poll() is None:
         time.sleep(0.05)
+        # A worker now and then, so that some of them die at work and some when their answer is on its way.
         if kills < 5 and done(out) > last:
             found = workers_of(process.pid)
             if found:

@@ -228,6 +228,8 @@ def complete(store: Store, options: Options, files, settings: Settings, engine, 
     if settings.again:
         failed = [key for _, key, _ in files if key in done and (store.read(key) or {"failure": 1})["failure"]]
         done -= set(failed)
+        for key in failed:
+            store.remove(key)
     left = {key: (path, key, own) for path, key, own in files if key not in done}
     if not left:
         return 0

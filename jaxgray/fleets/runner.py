@@ -24,12 +24,20 @@ ROOM = 3
 """Workers that may die on one call before it is taken to be the call's fault."""
 
 
+MOST_DROPS = 50
+"""Calls that a scheduler may drop before it is given up."""
+
+
 class Lost(RuntimeError):
     """The workers are gone; what they had finished is in the store."""
 
 
 class Killed(RuntimeError):
     """Workers died while they carried out one call."""
+
+
+class Dropped(RuntimeError):
+    """A call was forgotten on its way; it can be made again."""
 
 
 class AbstractEngine(abc.ABC):
@@ -52,7 +60,7 @@ class AbstractEngine(abc.ABC):
     def outcome(self, future):
         """What a finished call returned.
 
-        **Raises:** what the call raised; `Killed`; `Lost`.
+        **Raises:** what the call raised; `Killed`; `Dropped`; `Lost`.
         """
 
     def close(self, *, at_once: bool) -> None:  # noqa: B027
@@ -114,14 +122,20 @@ class DistributedEngine(AbstractEngine):
     def outcome(self, future):
         from distributed import KilledWorker
 
-        if future.status in ("cancelled", "lost"):
-            raise Lost(self.why_lost() or "the scheduler has dropped a call")
-        try:
-            return future.result(timeout=PATIENCE)
-        except KilledWorker:
-            raise Killed(f"{ROOM + 1} workers died while it was in work, perhaps for want of memory") from None
-        except (concurrent.futures.CancelledError, TimeoutError):
-            raise Lost(self.why_lost() or "the scheduler has dropped a call") from None
+        while True:
+            try:
+                if future.status in ("cancelled", "lost"):
+                    raise concurrent.futures.CancelledError
+                return future.result(timeout=PATIENCE)
+            except KilledWorker:
+                raise Killed(f"{ROOM + 1} workers died while it was in work, perhaps for want of memory") from None
+            except (concurrent.futures.CancelledError, TimeoutError) as error:
+                why = self.why_lost()
+                if why is not None:
+                    raise Lost(why) from None
+                if not isinstance(error, TimeoutError):
+                    raise Dropped("the scheduler has dropped a call") from None
+                # What a worker had returned died with it, and is being made again.
 
     def close(self, *, at_once: bool):
         if self._cluster is None:
@@ -234,7 +248,7 @@ def carry_out(
     **Raises:** `Lost` where the workers are gone; what a call raised.
     """
     waiting = list(zip(arguments, weights))[::-1]
-    total, done = behind + sum(weights), 0
+    total, done, drops = behind + sum(weights), 0, 0
     finished: queue.SimpleQueue = queue.SimpleQueue()
     running: dict = {}
     first: tuple[float, int] | None = None
@@ -259,6 +273,12 @@ def carry_out(
                 value = engine.outcome(future)
                 if found is not None:
                     found(value)
+            except Dropped as dropped:
+                drops += 1
+                if drops > MOST_DROPS:
+                    raise Lost(str(dropped)) from None
+                waiting.append((argument, weight))
+                continue
             except Killed as killed:
                 parts = () if split is None else split(argument)
                 if parts:

@@ -56,6 +56,9 @@ class Store:
         with os.scandir(self.results) as entries:
             return {e.name[:-5] for e in entries if e.name.endswith(".json") and not e.name.startswith(".")}
 
+    def __contains__(self, key: str) -> bool:
+        return (self.results / f"{key}.json").exists()
+
     def read(self, key: str) -> dict | None:
         """A result; None where it is not there. One that is not whole, as after a crash of the disk, is removed."""
         found = _read(self.results / f"{key}.json")

@@ -44,9 +44,10 @@ def dask_setup(worker) -> None:
 def work(job: Job) -> list[str]:
     """Do a job, one result in the store for every file.
 
-    What is wrong with a record goes into its result. What is wrong with the store ends the call.
+    What is wrong with a record goes into its result. What is wrong with the store ends the call. What is there already
+    is not done again: a scheduler repeats calls whose answer died with a worker.
 
-    **Returns:** keys of the results that were written.
+    **Returns:** keys of the results, all of which are in the store.
 
     **Raises:** `OSError` where the store cannot be written.
     """
@@ -54,6 +55,8 @@ def work(job: Job) -> list[str]:
     store = Store(job.folder)
     waiting = []
     for path, key, own in job.files:
+        if key in store:
+            continue
         read = _read(path, job)
         if isinstance(read, dict):
             store.write(key, read)

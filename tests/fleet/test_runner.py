@@ -8,7 +8,7 @@ import time
 import pytest
 
 from jaxgray.fleets import runner
-from jaxgray.fleets.runner import AbstractEngine, ExecutorEngine, Killed, Lost, carry_out, engine_of
+from jaxgray.fleets.runner import AbstractEngine, Dropped, ExecutorEngine, Killed, Lost, carry_out, engine_of
 from jaxgray.numerics.progress import AbstractProgress, Silent
 
 
@@ -25,7 +25,7 @@ class Told(AbstractProgress):
 class Dying(AbstractEngine):
     """Calls whose argument holds a bad item lose their workers."""
 
-    workers = 2
+    workers, dropped = 2, False
 
     def __init__(self, pool):
         self._pool, self.most, self._running, self._lock = pool, 0, 0, threading.Lock()
@@ -43,6 +43,9 @@ class Dying(AbstractEngine):
         with self._lock:
             self._running -= 1
         value = future.result()
+        if "shy" in value and not self.dropped:
+            self.dropped = True
+            raise Dropped("forgotten")
         if "bad" in value:
             raise Killed("4 workers died")
         return value
@@ -59,7 +62,7 @@ def test_calls_are_taken_a_few_at_a_time_and_progress_says_how_many_are_left(exe
     assert all(name.endswith("s left") for name, _ in told.stages[2:-1])
 
 
-def test_a_record_on_which_workers_die_is_found_among_its_batch(executor):
+def test_a_record_on_which_workers_die_is_found_among_its_batch_and_a_dropped_call_made_again(executor):
     arrived = []
 
     def split(argument):
@@ -68,8 +71,8 @@ def test_a_record_on_which_workers_die_is_found_among_its_batch(executor):
     def heard(argument, error):
         arrived.append((argument, None if error is None else str(error)))
 
-    carry_out(Dying(executor), lambda x: x, [["a", "bad", "b"], ["c"]], [3, 1], heard, Silent(), split=split)
-    assert sorted(arrived) == [(["a"], None), (["b"], None), (["bad"], "4 workers died"), (["c"], None)]
+    carry_out(Dying(executor), lambda x: x, [["a", "bad", "b"], ["shy"]], [3, 1], heard, Silent(), split=split)
+    assert sorted(arrived) == [(["a"], None), (["b"], None), (["bad"], "4 workers died"), (["shy"], None)]
 
 
 def test_an_error_of_the_store_ends_all(executor):
