@@ -9,6 +9,8 @@ import warnings
 
 WRONG_INPUT = 2
 FAILED = 3
+INTERRUPTED = 130
+"""What shells have for Ctrl-C."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -29,8 +31,8 @@ def main(argv: list[str] | None = None) -> int:
 
     try:
         return _run(app, argv)
-    except KeyboardInterrupt as stopped:
-        print(f"interrupted: {stopped}" if str(stopped) else "interrupted", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # Whoever read the output has gone; Python would complain again when it closes the stream.
@@ -68,6 +70,8 @@ def explain(error: Exception) -> tuple[int, str]:
     if type(error).__name__ in ("Abort", "Exit"):
         return getattr(error, "exit_code", WRONG_INPUT), "stopped"
     name = type(error).__name__
+    if name == "Interrupted":
+        return INTERRUPTED, str(error)
     # A ValueError to NumPy, but nothing that another argument would have prevented.
     if name == "LinAlgError":
         return FAILED, f"linear algebra: {error}. Check the record's scale, or try another time constant."

@@ -5,6 +5,10 @@ from .files import DELIMITERS
 from .finishing import finish, subspace_options
 
 
+class Interrupted(Exception):
+    """Ctrl-C, with what is kept; the command line would swallow the words of a `KeyboardInterrupt`."""
+
+
 @takes_groups
 def fleet(
     fleet: Fleet,
@@ -35,25 +39,28 @@ def fleet(
         from ..fleets.run import summary_document
 
         here = None if fleet.scheduler is not None else cache_folder()
-        result = carry_out(
-            fleet.files,
-            inputs=_listed("--inputs", channels.inputs),
-            outputs=_listed("--outputs", channels.outputs),
-            out=fleet.out,
-            task=fleet.task,
-            scheduler=fleet.scheduler,
-            workers=fleet.workers,
-            reading=_reading(reading, channels),
-            fitting=_fitting(fleet.task, channels, excitation, fitting, diagnosing),
-            machine=fleet.machine,
-            covariates=words(fleet.covariates),
-            when_column=fleet.when_column,
-            pages=not fleet.no_pages,
-            # Workers add a folder for their kind of processor, as the command does.
-            programs=None if here is None else here.parent,
-            again=fleet.again,
-            progress=progress,
-        )
+        try:
+            result = carry_out(
+                fleet.files,
+                inputs=_listed("--inputs", channels.inputs),
+                outputs=_listed("--outputs", channels.outputs),
+                out=fleet.out,
+                task=fleet.task,
+                scheduler=fleet.scheduler,
+                workers=fleet.workers,
+                reading=_reading(reading, channels),
+                fitting=_fitting(fleet.task, channels, excitation, fitting, diagnosing),
+                machine=fleet.machine,
+                covariates=words(fleet.covariates),
+                when_column=fleet.when_column,
+                pages=not fleet.no_pages,
+                # Workers add a folder for their kind of processor, as the command does.
+                programs=None if here is None else here.parent,
+                again=fleet.again,
+                progress=progress,
+            )
+        except KeyboardInterrupt as stopped:
+            raise Interrupted(f"interrupted; {stopped}" if str(stopped) else "interrupted") from None
     finish(summary_document(result), lambda out, _: out.print(repr(result), soft_wrap=True), talk, fleet.json, {}, [])
 
 

@@ -158,6 +158,27 @@ def test_bad_arguments_are_one_line(records, tmp_path, capsys, monkeypatch):
     assert not (tmp_path / "o" / "results").exists() or not list((tmp_path / "o" / "results").iterdir())
 
 
+def test_ctrl_c_says_what_is_kept(records, tmp_path, capsys, monkeypatch):
+    from jaxgray.fleets import run as runs
+
+    class Idle:
+        workers = 1
+
+        def close(self, *, at_once):
+            assert at_once
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jaxgray.fleets.runner.engine_of", lambda *_: Idle())
+    monkeypatch.setattr(runs, "_planned", lambda *_: {})
+    monkeypatch.setattr(runs, "carry_out", stopped)
+    argv = ["fleet", f"{records}/*.npz", "--inputs", "u1,u2", "--outputs", "y1,y2", "--out", str(tmp_path / "o")]
+    assert main(argv) == 130
+    said = capsys.readouterr().err
+    assert said.startswith("error: interrupted; the results of 0 of 8 records are kept in") and said.count("\n") == 1
+
+
 def test_the_command_starts_workers_of_its_own(records, tmp_path):
     """On records that all fail, so that nothing is compiled."""
     spoilt = [str(records / name) for name in ("m2_corrupt.npz", "m2_others.npz")]
