@@ -9,6 +9,7 @@ from .numerics.notebook import show_with
 if TYPE_CHECKING:
     from .diagnosis.diagnose import diagnose as diagnose
     from .diagnosis.result import Diagnosis as Diagnosis
+    from .fleets import fleet as fleet
     from .identification import CompressedRecord as CompressedRecord
     from .identification import Estimate as Estimate
     from .identification import Identification as Identification
@@ -47,6 +48,7 @@ _prepare()
 _HOMES = {
     "diagnosis.diagnose": ("diagnose",),
     "diagnosis.result": ("Diagnosis",),
+    "fleets": ("fleet",),
     "identification": (
         "CompressedRecord",
         "Estimate",

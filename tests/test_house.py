@@ -12,7 +12,7 @@ import pytest
 import jaxgray
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-FLOORS = [ROOT / "jaxgray" / name for name in ("diagnosis", "identification/hidden")]
+FLOORS = [ROOT / "jaxgray" / name for name in ("diagnosis", "fleets", "identification/hidden")]
 """Floors whose folders hold ten modules at most."""
 
 
@@ -47,6 +47,7 @@ def test_rooms_of_a_floor_hold_few_modules(floor):
         "sweep",
         "read_record",
         "diagnose",
+        "fleet",
         "stabilisation",
         "write_report",
         "write_simulation",

@@ -9,6 +9,8 @@ import warnings
 
 WRONG_INPUT = 2
 FAILED = 3
+INTERRUPTED = 130
+"""What shells have for Ctrl-C."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -68,6 +70,8 @@ def explain(error: Exception) -> tuple[int, str]:
     if type(error).__name__ in ("Abort", "Exit"):
         return getattr(error, "exit_code", WRONG_INPUT), "stopped"
     name = type(error).__name__
+    if name == "Interrupted":
+        return INTERRUPTED, str(error)
     # A ValueError to NumPy, but nothing that another argument would have prevented.
     if name == "LinAlgError":
         return FAILED, f"linear algebra: {error}. Check the record's scale, or try another time constant."
@@ -76,7 +80,7 @@ def explain(error: Exception) -> tuple[int, str]:
         return WRONG_INPUT, f"{where}{error.strerror or error}."
     if isinstance(error, ValueError | ImportError):
         return WRONG_INPUT, str(error)
-    if name == "ComputationError":
+    if name in ("ComputationError", "Lost"):
         return FAILED, str(error)
     if isinstance(error, MemoryError):
         return FAILED, "not enough memory; use a shorter record, fewer time constants or fewer block rows."

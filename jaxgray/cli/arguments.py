@@ -47,12 +47,9 @@ def _option(*names: str, help: str, metavar: str | None = None):
 
 
 @dataclass(frozen=True, kw_only=True)
-class File:
-    """What is read, and how."""
+class Reading:
+    """How files are read."""
 
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, npy, mat, parquet, hdf5, uff.")
-    ]
     time: Annotated[str | None, _option("--time", metavar="COLUMN", help="Time column (default: t or time).")] = None
     sampling_time: Annotated[
         float | None, _option("--sampling-time", metavar="SECONDS", help="Instead of a time column.")
@@ -72,6 +69,15 @@ class File:
     output_units: Annotated[str | None, _option("--output-units", metavar="M,…", help="Likewise of the outputs.")] = (
         None
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class File(Reading):
+    """What is read, and how."""
+
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="The record: csv, tsv, txt, npz, npy, mat, parquet, hdf5, uff.")
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,6 +270,38 @@ class Diagnosing:
     experiment: Annotated[
         Path | None,
         _option("--experiment", metavar="OUT.csv", help="Write the input of the experiment that is proposed, if any."),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fleet:
+    """What `fleet` takes besides the options of one record."""
+
+    files: Annotated[list[str], typer.Argument(metavar="FILES…", help="Records, or patterns such as 'data/*.parquet'.")]
+    out: Annotated[
+        Path, _option("--out", metavar="DIR", help="Folder of the results; a second call does what is left.")
+    ]
+    task: Annotated[str, _option("--task", metavar="identify|diagnose", help="What is done with each.")] = "identify"
+    workers: Annotated[
+        int | None, _option("--workers", metavar="N", help="Processes of this machine (default: one a core).")
+    ] = None
+    scheduler: Annotated[
+        str | None, _option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler, instead of this machine.")
+    ] = None
+    machine: Annotated[
+        str | None,
+        _option("--machine", metavar="PATTERN", help="Of the file names, such as '{machine}_{when}.parquet'."),
+    ] = None
+    when_column: Annotated[
+        str | None, _option("--when-column", metavar="COLUMN", help="When, instead of in the file name.")
+    ] = None
+    covariates: Annotated[
+        str | None, _option("--covariates", metavar="A,B", help="Columns such as a temperature, kept by their means.")
+    ] = None
+    no_pages: Annotated[bool, _option("--no-pages", help="Write no page for each record.")] = False
+    again: Annotated[bool, _option("--again", help="Compute anew what has failed before.")] = False
+    json: Annotated[
+        str | None, _option("--json", metavar="OUT", help="Write the summary as JSON; - for the screen.")
     ] = None
 
 

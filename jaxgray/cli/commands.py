@@ -4,7 +4,7 @@ import dataclasses
 
 import typer
 
-from . import diagnosing
+from . import diagnosing, fleet
 from .arguments import (
     Channels,
     Excitation,
@@ -96,6 +96,7 @@ def identify(
 
 
 app.command(short_help="Say what a model gets wrong, and why.")(diagnosing.diagnose)
+app.command(short_help="Do either for many records, on many workers.")(fleet.fleet)
 
 
 @app.command(short_help="Tabulate time constants and block rows of the start.")

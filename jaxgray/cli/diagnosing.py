@@ -43,7 +43,7 @@ def diagnose(
 
     files.check_holdout(channels)
     files.check_places(output.json, reporting.report, diagnosing.experiment)
-    _check(fitting, diagnosing)
+    checked(fitting, diagnosing)
     options = subspace_options(excitation)
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
@@ -107,7 +107,7 @@ def _pictures(output: Output, result) -> dict:
     return made
 
 
-def _check(fitting: Fitting, diagnosing: Diagnosing) -> None:
+def checked(fitting: Fitting, diagnosing: Diagnosing) -> None:
     """Raise `ValueError` for options that do not go together, or numbers that are none."""
     if fitting.no_refine:
         raise ValueError("--no-refine: a diagnosis needs the refined model; leave the option out.")

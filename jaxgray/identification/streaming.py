@@ -104,9 +104,6 @@ class CompressedRecord:
 
         **Raises:** `ComputationError` where the record cannot be compressed or gives no model.
         """
-        i = self.block_rows if block_rows is None else int(block_rows)
-        if not 3 <= i <= self.block_rows:
-            raise ValueError(f"block_rows={block_rows} must lie between 3 and {self.block_rows}.")
         inputs = self.pattern.inputs
         poles = jnp.asarray(self.poles)
         each = []
@@ -114,42 +111,9 @@ class CompressedRecord:
             factors, pivots = jax.vmap(lambda G: factor_of_gram(G, inputs, self.block_rows))(gram(part, poles))
             each.append(jnp.where((pivots > RANK_TOLERANCE)[:, None, None], factors, jnp.nan))
         grid = jax.vmap(lambda several: combine(several, inputs, self.block_rows))(jnp.stack(each, axis=1))
-        if not bool(jnp.any(jnp.all(jnp.isfinite(grid), axis=(1, 2)))):
-            raise ComputationError(
-                RESULTS.not_exciting, stage="compression", detail="its filtered copies are dependent"
-            )
-        drive = drive_of(self.pattern, "force", input_map, False)
-        sizes = self._sizes()
-        # Channels are weighed by their size over all samples, not over the first chunk.
-        grid = grid / jnp.tile(sizes, 2 * self.block_rows)
-        scaling = Scaling.of(
-            self.scaling.inputs * sizes[:inputs],
-            self.scaling.outputs * sizes[inputs:],
-            self.scaling.sampling_time,
-            self.pattern.measured,
+        return model_of_factors(
+            grid, self.poles, self.pattern, self.scaling, self._sizes(), self.block_rows, block_rows, input_map
         )
-        scaled = drive.scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time)
-        setting = Setting(scaled, self.pattern.measured, self.pattern.hold)
-        found = candidates(
-            grid,
-            poles,
-            jnp.asarray([float(i)]),
-            None,
-            inputs=inputs,
-            padded=self.block_rows,
-            weight=MOESP(),
-            map=ExactMap(),
-            measured=setting.measured,
-            hold=setting.hold,
-            householder=False,
-        )
-        matrices, usable, _ = physical_grid(found, setting)
-        middle = sorted(np.flatnonzero(usable[:, 0]), key=lambda k: abs(k - (len(poles) - 1) / 2))
-        if not middle:
-            raise ComputationError(RESULTS.unstable_start, stage="subspace identification")
-        M, D, K = scaling.matrices_out(*(X[middle[0], 0] for X in matrices))
-        names = ("measured", "input_names", "output_names", "input_units", "output_units")
-        return MechanicalModel(M, D, K, drive=drive, **{name: getattr(self.pattern, name) for name in names})
 
     def save(self, path) -> None:
         """Write it to a NPZ file."""
@@ -173,7 +137,7 @@ class CompressedRecord:
         """Read what `save` wrote."""
         with np.load(path) as file:
             told = json.loads(str(file["told"]))
-            pattern = _pattern(
+            pattern = pattern_of(
                 told["names"], told["units"], told["hold"], tuple(told["measured"]), told["sampling_time"]
             )
             parts = tuple(Moments(*(jnp.asarray(file[f"part{k}_{j}"]) for j in range(3))) for k in range(told["parts"]))
@@ -181,11 +145,59 @@ class CompressedRecord:
             return cls(pattern, scaling, file["level"], file["poles"], told["block_rows"], parts, told["samples"])
 
 
+def model_of_factors(
+    grid, poles, pattern: Record, scaling: Scaling, sizes, compressed_rows: int, block_rows=None, input_map=None
+) -> MechanicalModel:
+    """The model of the first time constant that gives a physical one, from the middle outwards.
+
+    **Arguments:** `grid`: factor for each of the `poles`; `pattern`: channels and hold; `scaling` of the factors;
+    `sizes`: standard deviation of every channel over all samples, relative to `scaling`; `compressed_rows`: i of the
+    factors; `block_rows`: i to use, default that; `input_map`: as for `identify`.
+
+    **Raises:** `ValueError` for block rows that are not there; `ComputationError` where there is no model.
+    """
+    i = compressed_rows if block_rows is None else int(block_rows)
+    if not 3 <= i <= compressed_rows:
+        raise ValueError(f"block_rows={block_rows} must lie between 3 and {compressed_rows}.")
+    inputs, poles = pattern.inputs, jnp.asarray(poles)
+    if not bool(jnp.any(jnp.all(jnp.isfinite(grid), axis=(1, 2)))):
+        raise ComputationError(RESULTS.not_exciting, stage="compression", detail="its filtered copies are dependent")
+    drive = drive_of(pattern, "force", input_map, False)
+    # Channels are weighed by their size over all samples, not over the first chunk.
+    grid = grid / jnp.tile(sizes, 2 * compressed_rows)
+    scaling = Scaling.of(
+        scaling.inputs * sizes[:inputs], scaling.outputs * sizes[inputs:], scaling.sampling_time, pattern.measured
+    )
+    scaled = drive.scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time)
+    setting = Setting(scaled, pattern.measured, pattern.hold)
+    found = candidates(
+        grid,
+        poles,
+        jnp.asarray([float(i)]),
+        None,
+        inputs=inputs,
+        padded=compressed_rows,
+        weight=MOESP(),
+        map=ExactMap(),
+        measured=setting.measured,
+        hold=setting.hold,
+        householder=False,
+    )
+    matrices, usable, _ = physical_grid(found, setting)
+    middle = sorted(np.flatnonzero(usable[:, 0]), key=lambda k: abs(k - (len(poles) - 1) / 2))
+    if not middle:
+        raise ComputationError(RESULTS.unstable_start, stage="subspace identification")
+    M, D, K = scaling.matrices_out(*(X[middle[0], 0] for X in matrices))
+    names = ("measured", "input_names", "output_names", "input_units", "output_units")
+    return MechanicalModel(M, D, K, drive=drive, **{name: getattr(pattern, name) for name in names})
+
+
 def _leaves(moments: Moments) -> tuple:
     return moments.states, moments.products, moments.plain
 
 
-def _pattern(names, units, hold, measured, sampling_time) -> Record:
+def pattern_of(names, units, hold, measured, sampling_time) -> Record:
+    """Channels, units and hold of a record, as one of two samples."""
     two = [np.array([[0.0] * len(side), [1.0] * len(side)]) for side in names]
     return Record(
         *two,
@@ -254,14 +266,14 @@ def compress(
     )
     scaling = scaling_of([head])
     if time_constants is None or block_rows is None:
-        time_constants, block_rows = _best(head, scaling, time_constants, block_rows, input_map)
+        time_constants, block_rows = best_choice(head, scaling, time_constants, block_rows, input_map)
     taus = np.unique(np.atleast_1d(np.asarray(time_constants, dtype=float)))
     if not np.all(taus > 0) or int(block_rows) < 3:
         raise ValueError(f"time_constants={time_constants} must be positive and block_rows={block_rows} at least 3.")
     poles = np.asarray(pole(taus, sampling_time))
     names, units = (head.input_names, head.output_names), (head.input_units, head.output_units)
     begun = CompressedRecord(
-        _pattern(names, units, hold, head.measured, head.sampling_time),
+        pattern_of(names, units, hold, head.measured, head.sampling_time),
         scaling,
         head.y.mean(axis=0),
         poles,
@@ -272,7 +284,7 @@ def compress(
     return begun.extended([first]).extended(chunks)
 
 
-def _best(head: Record, scaling: Scaling, time_constants, block_rows, input_map):
+def best_choice(head: Record, scaling: Scaling, time_constants, block_rows, input_map):
     """τ and i that serve the first chunk best."""
     drive = drive_of(head, "force", input_map, False)
     scaled = drive.scaled(scaling.coordinates, scaling.inputs, scaling.sampling_time)

@@ -52,8 +52,12 @@ def page_of(result: Identification | Diagnosis, notes: tuple[str, ...] = ()) -> 
     raise ValueError(f"result is a {type(result).__name__}; give what identify or diagnose returned.")
 
 
-def rendered(page: Page) -> str:
-    """A page as HTML."""
+def rendered(page: Page, *, library_at: str | None = None) -> str:
+    """A page as HTML.
+
+    **Arguments:** `page`; `library_at`: name of a file beside the page that holds `library_script`, for folders of many
+    pages; default none: the page is complete in itself.
+    """
     drawings = [block.drawing() for section in page.sections for block in section.blocks if isinstance(block, Plot)]
     return (
         environment()
@@ -63,7 +67,8 @@ def rendered(page: Page) -> str:
             version=own_version(),
             document=_script(_slim(page.document)),
             drawings=_script(drawings),
-            library=Markup(library()) if drawings else "",
+            library=Markup(library()) if drawings and library_at is None else "",
+            library_at=library_at if drawings else None,
         )
     )
 
@@ -96,6 +101,12 @@ def library() -> str:
     from plotly.offline import get_plotlyjs
 
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 9, mtime=0)).decode()
+
+
+def library_script() -> str:
+    """The plotting library as a script that pages beside it load: it puts the text where a page would have had it."""
+    element = f'{{type: "text/plain", id: "library", textContent: "{library()}"}}'
+    return f'document.currentScript.after(Object.assign(document.createElement("script"), {element}));\n'
 
 
 def own_version() -> str:

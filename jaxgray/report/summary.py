@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Float
 
 from ..identification.result import Identification
 from ..identification.sweep import Sweep
@@ -147,8 +148,13 @@ def zero_errors(result: Identification) -> dict[str, list[float]] | None:
 
 def modes_document(result: Identification) -> list[dict]:
     """Every mode with its standard errors; None without refinement."""
-    modes = result.model.modes()
-    errors = None if result.uncertainty is None else modal_uncertainty(result.model, result.covariance)
+    return modes_of(result.model, None if result.uncertainty is None else result.covariance)
+
+
+def modes_of(model: MechanicalModel, covariance: Float[np.ndarray, "entries entries"] | None) -> list[dict]:
+    """Every mode of a model, with standard errors where the covariance of its entries is known."""
+    modes = model.modes()
+    errors = None if covariance is None else modal_uncertainty(model, covariance)
     return [
         {
             "frequency_hz": float(modes.natural_frequency_hz[k]),

@@ -14,6 +14,7 @@ from ...numerics.linear_algebra import triangle
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress, Silent
 from ...numerics.runtime import ready, undisturbed
+from ...numerics.stored_programs import stored
 from ...records import Record, check_compatible
 from ..identify import identify
 from ..initialization.start import POOR, StartOptions, filled, subspace_starts
@@ -106,6 +107,21 @@ def identify_many(
     return result
 
 
+def choices(
+    records: Sequence[Record], *, time_constants=None, block_rows=None, weight=None, input_map=None
+) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Time constants [s] and block rows that `identify_many` would try for these records.
+
+    Given back to it, they make what it finds for a record independent of the other records of the call.
+
+    **Arguments:** as for `identify_many`; `weight`: default "moesp".
+
+    **Raises:** `ComputationError` when no start can be found for the longest records.
+    """
+    weight = pick("weight", "moesp" if weight is None else weight, WEIGHTS)
+    return _choices(list(records), drive_of(records[0], "force", input_map, False), time_constants, block_rows, weight)
+
+
 def _scalings(records: list[Record]) -> tuple[dict[int, Scaling], dict[int, ComputationError]]:
     """Scaling of every record, and the failures of those that have none."""
     scalings, refused = {}, {}
@@ -162,19 +178,37 @@ def _choices(records, drive, time_constants, block_rows, weight) -> tuple[np.nda
     raise failure
 
 
+def _each(arrays, static, rows: tuple[int, ...], weight, every_coordinate: bool, gaps: bool):
+    """Start and refinement of one record, and the place of its start in the grid."""
+    one, setting, form, poles = eqx.combine(arrays, static)
+    start, choice = start_one(one, setting, poles, rows, weight, every_coordinate=every_coordinate)
+    return refine_one(start, one, setting, form, gaps=gaps), choice
+
+
+@stored
+def _side_by_side(stacked, static, rows, weight, every_coordinate, gaps):
+    """A chunk on one device; kept on disk whole, since tracing it takes as long as many records do."""
+    return jax.vmap(lambda arrays: _each(arrays, static, rows, weight, every_coordinate, gaps))(stacked)
+
+
 @functools.cache
 def _program(devices: tuple, rows: tuple[int, ...], weight, every_coordinate: bool, gaps: bool, static):
     """The compiled start and refinement of a chunk, its records spread over the devices."""
+    if len(devices) == 1:
 
-    def one(arrays):
-        one, setting, form, poles = eqx.combine(arrays, static)
-        start, choice = start_one(one, setting, poles, rows, weight, every_coordinate=every_coordinate)
-        return refine_one(start, one, setting, form, gaps=gaps), choice
+        def alone(stacked):
+            return _side_by_side(jax.device_put(stacked, devices[0]), static, rows, weight, every_coordinate, gaps)
 
+        return alone
     mesh = jax.sharding.Mesh(np.array(devices), ("records",))
     spec = jax.sharding.PartitionSpec("records")
-    spread = jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-    return jax.jit(spread), jax.sharding.NamedSharding(mesh, spec)
+
+    def one(arrays):
+        return _each(arrays, static, rows, weight, every_coordinate, gaps)
+
+    spread = jax.jit(jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
+    sharding = jax.sharding.NamedSharding(mesh, spec)
+    return lambda stacked: spread(jax.device_put(stacked, sharding))
 
 
 def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> tuple[Refined, np.ndarray]:
@@ -200,9 +234,9 @@ def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> 
         rows_of = [eqx.partition(arrays(k), eqx.is_array) for k in picked]
         dynamic, static = [d for d, _ in rows_of], rows_of[0][1]
         dynamic += dynamic[-1:] * (size - len(picked))
-        program, sharding = _program(tuple(devices), rows, weight, every_coordinate, gaps, static)
+        program = _program(tuple(devices), rows, weight, every_coordinate, gaps, static)
         stacked = jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *dynamic)
-        return program(jax.device_put(stacked, sharding))
+        return program(stacked)
 
     # One after the other: two programs with batches of decompositions at once may wait for ever (`numerics.backend`).
     parts = []
