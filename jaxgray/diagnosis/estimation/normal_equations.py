@@ -22,7 +22,11 @@ LARGEST = 1e50
 
 def weighted(noise_model: NoiseModel, X: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """Whitened columns of the samples that count, as a matrix samples·outputs × columns."""
-    return noise_model.whiten_rows(np.moveaxis(X, 2, 0), kept, counted(kept)).reshape(X.shape[2], -1).T
+    used = counted(kept)
+    if noise_model.is_white:
+        # No sample looks at another: the columns stay where they are.
+        return (np.linalg.inv(noise_model.lower) @ X * used[:, :, None]).reshape(-1, X.shape[2])
+    return noise_model.whiten_rows(np.moveaxis(X, 2, 0), kept, used).reshape(X.shape[2], -1).T
 
 
 class Equations:

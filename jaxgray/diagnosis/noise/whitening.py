@@ -68,13 +68,9 @@ class NoiseModel:
     ) -> Float[np.ndarray, "rows samples outputs"]:
         """Residuals or features through the noise model, each a row of its own: what is not `kept` is zero before, what
         is not `used` zero after it."""
-        result = np.empty(X.shape)
         if self.is_white:
-            inverse = np.linalg.inv(self.lower)
-            np.multiply(X, used * np.diag(inverse), out=result)
-            for i, j in zip(*np.nonzero(inverse - np.diag(np.diag(inverse)))):
-                result[:, :, i] += inverse[i, j] * (X[:, :, j] * used[:, i])
-            return result
+            return (X @ np.linalg.inv(self.lower).T) * used
+        result = np.empty(X.shape)
         arrays = (self.A, self.C, self.gain, self.coefficients, self.lower, kept, used)
 
         def whiten(k):
