@@ -302,17 +302,22 @@ def speed(options, folder):
         # From when every worker has compiled: after a quarter, until the last few.
         inside = [(t, n) for t, n in times if 0.3 * options.records <= n <= 0.95 * options.records]
         found[workers] = (inside[-1][1] - inside[0][1]) / (inside[-1][0] - inside[0][0])
-        memory = [json.loads(pathlib.Path(p).read_text())["run"]["memory_mib"] for p in glob.glob(f"{out}/results/*")]
-        found[f"memory {workers}"] = max(memory)
+        runs = [json.loads(pathlib.Path(p).read_text())["run"] for p in glob.glob(f"{out}/results/*.json")]
+        found[f"memory {workers}"] = max(run["memory_mib"] for run in runs)
+        # The median leaves out what compiles.
+        found[f"busy {workers}"] = float(np.median([run["processor_seconds"] for run in runs if len(run) > 2]))
     return {
         "records": options.records,
         "samples of each": options.samples,
         "records a second, one worker": found[1],
         "records a second, two workers": found[2],
         "ratio": found[2] / found[1],
+        "processor seconds a record, one worker": found["busy 1"],
+        "processor seconds a record, two workers": found["busy 2"],
+        "ratio by processor time, as on cores of their own": 2 * found["busy 1"] / found["busy 2"],
         "largest memory of a worker [MiB]": max(found["memory 1"], found["memory 2"]),
         "hours for 1e6 records on two workers": 1e6 / found[2] / 3600,
-        "load of the machine": os.getloadavg()[0],
+        "processes that wanted a core, of as many cores": [os.getloadavg()[0], os.cpu_count()],
     }
 
 

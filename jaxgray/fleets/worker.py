@@ -208,9 +208,10 @@ def _together(job: Job, store: Store, waiting: list) -> list:
     for group in groups.values():
         for k in range(0, len(group), job.batch):
             part = group[k : k + job.batch]
-            begun = time.perf_counter()
+            begun, busy = time.perf_counter(), time.process_time()
             documents = identified([one[3] for one in part], job.plan, job.options.fitting, job.batch)
             share = (time.perf_counter() - begun) / len(part)
+            busy = (time.process_time() - busy) / len(part)
             for one, document in zip(part, documents):
                 if document is None:
                     left.append(one)
@@ -218,6 +219,7 @@ def _together(job: Job, store: Store, waiting: list) -> list:
                 path, key, _, _, notes, means, _ = one
                 document["warnings"] = [*notes, *document["warnings"]]
                 result = _result(path, job, time.perf_counter() - share, means) | {"document": document}
+                result["run"]["processor_seconds"] = busy
                 store.write(key, result | {"page": _page_of_document(job, store, key, path, document)})
     return left
 
