@@ -145,18 +145,24 @@ def fleet(
     progress.stage("reading the files' bytes")
     contents, unread = _contents(files, store)
     keys = {file: key_of(content, options.digest()) for file, content in contents.items()}
-    with engines(client, scheduler, workers) as engine:
-        settings = Settings(str(store.folder / "programs" if programs is None else programs), pages, again)
-        asked = [(str(file), keys[file], {}) for file in files if file in keys]
-        computed = complete(store, options, asked, settings, engine, progress)
-        rows = [row_of(str(file), store, keys.get(file), unread.get(file), naming) for file in files]
-        drifts, alone = (), {}
-        if naming.pattern is not None:
-            looked_for = dataclasses.replace(
-                options, task="score", fitting={"effects": list(wear), "input_map": options.fitting.get("input_map")}
-            )
-            texts = {str(file): content for file, content in contents.items()}
-            drifts, alone, _ = _drift(store, rows, looked_for, texts, naming, settings, engine, progress)
+    try:
+        with engines(client, scheduler, workers) as engine:
+            settings = Settings(str(store.folder / "programs" if programs is None else programs), pages, again)
+            asked = [(str(file), keys[file], {}) for file in files if file in keys]
+            computed = complete(store, options, asked, settings, engine, progress)
+            rows = [row_of(str(file), store, keys.get(file), unread.get(file), naming) for file in files]
+            drifts, alone = (), {}
+            if naming.pattern is not None:
+                looked_for = dataclasses.replace(
+                    options,
+                    task="score",
+                    fitting={"effects": list(wear), "input_map": options.fitting.get("input_map")},
+                )
+                texts = {str(file): content for file, content in contents.items()}
+                drifts, alone, _ = _drift(store, rows, looked_for, texts, naming, settings, engine, progress)
+    finally:
+        # Workers that were stopped may have left something half-written.
+        store.tidy()
     progress.stage("tabulating")
     documents = ((keys.get(file), store.read(keys[file]) if file in keys else None) for file in files)
     table, matrices = write_tables(store.folder, rows, documents)
@@ -257,8 +263,6 @@ def complete(store: Store, options: Options, files, settings: Settings, engine, 
         if isinstance(error, OSError):
             raise OSError(error.errno, f"{error.strerror or error}; {text}", error.filename) from None
         raise type(error)(f"{error}; {text}." if str(error) else f"{text}.") from None
-    finally:
-        store.tidy()
     return len(left)
 
 

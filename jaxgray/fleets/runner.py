@@ -3,7 +3,9 @@
 import abc
 import concurrent.futures
 import contextlib
+import os
 import queue
+import signal
 import time
 from collections.abc import Callable, Sequence
 
@@ -140,6 +142,12 @@ class DistributedEngine(AbstractEngine):
     def close(self, *, at_once: bool):
         if self._cluster is None:
             return
+        if at_once:
+            # Asked to close, a worker would finish what it is at.
+            for nanny in list(self._cluster.workers.values()):
+                nanny.auto_restart = False
+                with contextlib.suppress(OSError, TypeError):
+                    os.kill(nanny.pid, signal.SIGKILL)
         with contextlib.suppress(Exception):
             self._client.close(timeout=1 if at_once else 10)
         with contextlib.suppress(Exception):
