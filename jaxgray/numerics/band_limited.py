@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from .namespace import namespace
-
 TAPS = 16
 """Samples on either side that the filter of a band-limited input reaches."""
 
@@ -12,7 +10,7 @@ BAND = 0.42
 
 
 def _band_limiting() -> np.ndarray:
-    """Symmetric filter of which straight lines between its samples give S(f) = 1 (least squares, within 1e−6 up to
+    """Symmetric filter of which straight lines between its samples give S(f) = 1 (least squares, within 1e−5 up to
     `BAND`), gain 1 at standstill."""
     f = np.linspace(0.0, BAND, 50 * TAPS)
     x = np.pi * f
@@ -28,19 +26,19 @@ def _band_limiting() -> np.ndarray:
 BAND_LIMITING = _band_limiting()
 
 
-def band_limited(u):
+def band_limited(u, xp=np):
     """The samples between which straight lines give the plant a band-limited input.
 
     Straight lines between samples weaken a frequency f (in cycles a sample) by sinc²(f), and repeat it at f + k. A mass
     follows what is repeated by f²/(f + k)² of what it follows at f, and its sampled displacement shows the sum: the
     samples are raised by what that lacks.
 
-    **Arguments:** `u` (samples,), at rest before its first and after its last.
+    **Arguments:** `u` (samples,), at rest before its first and after its last; `xp`: `numpy` (default) or `jax.numpy`,
+    which a record that is only read need not load.
 
     **Returns:** as many samples.
 
-    **Reference:** Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed. (2012), §13.2 and
-    §13.3 (band-limited measurement).
+    **Reference:** Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed. (2012),
+    on band-limited measurement.
     """
-    xp = namespace(u)
     return xp.convolve(xp.pad(u, TAPS, mode="edge"), BAND_LIMITING, mode="valid")

@@ -61,7 +61,7 @@ class BandLimitedInput(AbstractInputEffect):
         return [np.array([1.0])]
 
     def apply(self, p, start, end, time):
-        smooth = band_limited(start)
+        smooth = band_limited(start, jnp)
         following = jnp.concatenate([smooth[1:], smooth[-1:]])
         return start + p[0] * (smooth - start), end + p[0] * (following - end)
 
