@@ -17,7 +17,7 @@ from .drift.score import WEAR
 from .drift.series import Naming
 from .drift.shown import drift_document, drift_section
 from .page import population_page
-from .runner import AbstractEngine, Lost, carry_out, engines
+from .runner import AbstractEngine, Lost, carry_out, engines, refuse
 from .store import Store, write_whole
 from .tables import row_of, write_tables
 from .tasks import TASKS, Job, Options, batches, content_hash, key_of, listed, names
@@ -276,16 +276,11 @@ def _planned(store: Store, job: Job, workers: AbstractEngine, progress: Abstract
     made: list[dict] = []
     some = job.files[:: max(1, len(job.files) // LOOKED_AT)]
     asked = dataclasses.replace(job, files=tuple((path, key, {}) for path, key, _ in some))
-    carry_out(workers, plan, [asked], [0], _refuse, Silent(), found=made.append)
+    carry_out(workers, plan, [asked], [0], refuse, Silent(), found=made.append)
     # Where no record could be read, later ones may.
     if made[0]:
         store.write_plan(name, made[0])
     return made[0]
-
-
-def _refuse(_, error) -> None:
-    if error is not None:
-        raise error
 
 
 def _options(task, inputs, outputs, reading, fitting, columns) -> Options:

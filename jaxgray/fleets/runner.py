@@ -308,6 +308,12 @@ def carry_out(
         raise
 
 
+def refuse(_, error: Exception | None) -> None:
+    """For `carry_out` as `arrived`, where every part is needed: raises the error of a call on which workers died."""
+    if error is not None:
+        raise error
+
+
 def _tell(progress: AbstractProgress, done: int, total: int, left: float | None, what: str) -> None:
     text = f"{done} of {total} {what}"
     if left is not None and done < total:

@@ -6,7 +6,7 @@ TAPS = 16
 """Samples on either side that the filter of a band-limited input reaches."""
 
 BAND = 0.42
-"""Frequency, in cycles a sample, up to which the filter is fitted: no anti-alias filter passes more."""
+"""Frequency, in cycles a sample, up to which the filter is fitted; anti-alias filters pass little beyond."""
 
 
 def _band_limiting() -> np.ndarray:
@@ -15,7 +15,7 @@ def _band_limiting() -> np.ndarray:
     f = np.linspace(0.0, BAND, 50 * TAPS)
     x = np.pi * f
     # Σ_k sinc²(f + k) f²/(f + k)².
-    lines = (1.0 - 2.0 / 3.0 * np.sin(x) ** 2) / np.maximum(np.sinc(f), 1e-300) ** 2
+    lines = (1.0 - 2.0 / 3.0 * np.sin(x) ** 2) / np.sinc(f) ** 2
     cosines = np.cos(2 * np.pi * np.outer(f, np.arange(TAPS + 1)))
     cosines[:, 1:] *= 2.0
     half = np.linalg.lstsq(cosines * lines[:, None], np.ones(len(f)), rcond=None)[0]

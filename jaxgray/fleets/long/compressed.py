@@ -15,7 +15,7 @@ from ...mechanics.model import MechanicalModel
 from ...numerics.progress import AbstractProgress, Silent
 from ...numerics.runtime import ready
 from ...records import Record
-from ..runner import carry_out, engines
+from ..runner import carry_out, engines, refuse
 from ..tasks import names
 from .factors import Chunk, Seam, Tree, reduced, trusted
 from .source import Source
@@ -149,14 +149,8 @@ def compress_on_workers(
             moments[0], moments[1], moments[2] = moments[0] + part.sums, moments[1] + part.squares, moments[2] + 1
 
     with engines(client, scheduler, workers) as engine:
-        carry_out(engine(), reduced, chunks, [1] * len(chunks), _refuse, progress, found=found, what="chunks")
+        carry_out(engine(), reduced, chunks, [1] * len(chunks), refuse, progress, found=found, what="chunks")
     mean = moments[0] / source.samples
     pattern = pattern_of((inputs, outputs), (head.input_units, head.output_units), hold, head.measured, sampling_time)
     spread = np.sqrt(moments[1] / source.samples - mean**2)
     return LongRecord(source, pattern, scaling, level[split:], np.array(poles), rows, tree.whole(), spread)
-
-
-def _refuse(_, error) -> None:
-    """A chunk that cannot be had leaves a hole, which nothing mends."""
-    if error is not None:
-        raise error

@@ -20,7 +20,7 @@ from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress, Silent
 from ...numerics.response_products import response_products
 from ...numerics.sensitivity import by_blocks, lift_by_channel
-from ..runner import carry_out, engines
+from ..runner import carry_out, engines, refuse
 from .compressed import LongRecord
 from .source import Source
 
@@ -194,7 +194,7 @@ def refine_on_workers(
                 multiplied,
                 stretches,
                 counts,
-                _refuse,
+                refuse,
                 progress,
                 found=lambda value: tables.update([value]),
                 what="segments",
@@ -232,9 +232,3 @@ def refine_on_workers(
         np.sqrt(np.diag(point.covariance)) * np.asarray(scaling.outputs),
         steps,
     )
-
-
-def _refuse(_, error) -> None:
-    """A stretch that cannot be had leaves a hole, which nothing mends."""
-    if error is not None:
-        raise error
