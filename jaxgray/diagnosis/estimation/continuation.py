@@ -21,7 +21,7 @@ RENEWALS = 6
 ROUGH = 0.3
 """Decrement, in units of the noise variance, at which a first refit is good enough to compare."""
 
-MOST_STEPS = 16
+MOST_STEPS = 32
 """Steps per sample up to which a force is followed."""
 
 EDGE_STEPS = 4

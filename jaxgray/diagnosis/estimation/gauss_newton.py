@@ -142,9 +142,9 @@ def refit(
     fixed[: layout.entries] = setup.held if held is None else held
     masks = fixed | layout.last(candidate), fixed | layout.shape_of_last(candidate), fixed
     step = _Step(setup, layout, fixed)
-    theta = layout.vector(candidate)
     equations = Equations(simulator, data, noise_model, layout)
-    now = equations(candidate)
+    candidate = equations.moved_or_at_rest(candidate)
+    theta, now = layout.vector(candidate), equations(candidate)
     if now is None:
         return None
     damping, steps, converged, before, started = 0.0, 0, False, np.inf, now[2]

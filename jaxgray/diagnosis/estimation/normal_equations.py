@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...mechanics.effects.base import AbstractForceEffect
 from ..model.candidate import Candidate, Data
 from ..model.reversals import decided_residual
 from ..model.simulator import Simulator
@@ -61,6 +62,24 @@ class Equations:
             cost += float(both[:, -1] @ both[:, -1])
             count += int(counted(d.kept).sum() + d.kept[: self._head(d)].sum())
         return H, g, cost, count, tuple(residuals), tuple(J for _, J in runs)
+
+    def cost(self, candidate: Candidate) -> float:
+        """Cost alone; infinite where it overflows."""
+        total = 0.0
+        for k, d in enumerate(self.data):
+            e, _ = decided_residual(self.simulator, candidate, d, self.simulator.run(candidate, d, k), record=k)
+            if not np.max(np.abs(e)) <= LARGEST:
+                return np.inf
+            total += float(np.sum(self._rows(np.empty((*e.shape, 0)), e, d) ** 2))
+        return total
+
+    def moved_or_at_rest(self, candidate: Candidate) -> Candidate:
+        """The candidate, or the same at rest at first where that is nearer to the records: no slope leads from a moving
+        state to one that dry friction holds."""
+        if not any(isinstance(term.effect, AbstractForceEffect) for term in candidate.terms):
+            return candidate
+        rest = Candidate(candidate.entries, tuple(np.zeros_like(x0) for x0 in candidate.x0), candidate.terms)
+        return rest if self.cost(rest) < self.cost(candidate) else candidate
 
     @staticmethod
     def _head(data: Data) -> int:

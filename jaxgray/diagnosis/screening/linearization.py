@@ -14,7 +14,7 @@ from ..model.candidate import Candidate, Data
 from ..model.reversals import decided_residual
 from ..model.simulator import Simulator
 from ..noise.smoother import smoothed_states
-from ..noise.whitening import NoiseModel, counted, estimate_noise_model, white_noise_model
+from ..noise.whitening import NoiseModel, counted, estimate_noise_model
 from .features import Features, Motion, features
 from .scales import scales_at
 from .score_test import Screening, screen
@@ -79,8 +79,7 @@ def screen_simulated(
 ) -> Screening:
     """The gate: every candidate with features from the simulated motion."""
     made = _features(stage, stage.motion, data, catalogue, names)
-    start = white_noise_model(stage.e, data.kept, stage.system) if noise_model is None else noise_model
-    return screen(stage.e, stage.J, data, made, stage.system, stage.force, start, surrogates=surrogates, rng=rng)
+    return screen(stage.e, stage.J, data, made, stage.system, stage.force, noise_model, surrogates=surrogates, rng=rng)
 
 
 def screen_smoothed(
@@ -89,19 +88,13 @@ def screen_smoothed(
     catalogue: tuple[AbstractEffect, ...],
     names: tuple[tuple[str, ...], tuple[str, ...]],
     noise_model: NoiseModel | None = None,
-    *,
-    renewed: bool = True,
 ) -> Screening:
     """The ranking: candidates with features from the measured motion, smoothed; the noise model is begun anew without
-    one, and left as it is where it is not `renewed`."""
+    one."""
     motion = measured_motion(stage, data)
     made = _features(stage, motion, data, catalogue, names)
-    begun, rounds = (
-        (white_noise_model(stage.e, data.kept, stage.system), 3)
-        if noise_model is None
-        else (noise_model, 1 if renewed else 0)
-    )
-    return screen(stage.e, stage.J, data, made, stage.system, stage.force, begun, rounds=rounds)
+    rounds = 3 if noise_model is None else 1
+    return screen(stage.e, stage.J, data, made, stage.system, stage.force, noise_model, rounds=rounds)
 
 
 def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Features:

@@ -17,7 +17,7 @@ from ...identification.refinement.conic import pseudo_inverse
 from ...mechanics.effects.base import limits
 from .. import settings
 from ..model.candidate import Data
-from ..noise.whitening import SETTLING, NoiseModel, estimate_noise_model
+from ..noise.whitening import SETTLING, NoiseModel, estimate_noise_model, white_noise_model
 from .features import Features, Shape
 from .projections import Products
 
@@ -47,8 +47,8 @@ class Screening:
     """Scores of all shapes, best first, under one noise model, and what did not give a finite response.
 
     `rows`: whitened samples that count (m); `noise_model`; `clean`: residual without model and what was picked;
-    `threshold`: ΔBIC from which the gate opens; `overflowed`: shapes whose response was not finite; `first`: scores
-    under the noise model to begin with.
+    `threshold`: ΔBIC from which the gate opens; `overflowed`: shapes whose response was not finite; `white`: scores
+    under white noise.
     """
 
     scores: tuple[Score, ...]
@@ -57,7 +57,7 @@ class Screening:
     clean: Float[np.ndarray, "samples outputs"]
     threshold: float
     overflowed: int
-    first: tuple[Score, ...] = ()
+    white: tuple[Score, ...] = ()
 
     def best_by_effect(self) -> dict[str, Score]:
         """The best score of every effect."""
@@ -147,7 +147,7 @@ def screen(
     features: Features,
     system,
     force: Float[np.ndarray, " inputs"],
-    noise_model: NoiseModel,
+    noise_model: NoiseModel | None = None,
     *,
     rounds: int = 3,
     picked: int = 3,
@@ -161,13 +161,19 @@ def screen(
     responses.
 
     **Arguments:** `e`, `J`: free-run residual and its sensitivities; `data`; `features`; `system`, `force`: for
-    `estimate_noise_model`; `noise_model` to begin with; `rounds`: 0 leaves the noise model as it is; `picked`: how many
-    are removed at most; `surrogates`: noise residuals that calibrate the gate; `rng` for them.
+    `estimate_noise_model`; `noise_model` to begin with, default white noise; `rounds` of it; `picked`: how many are
+    removed at most; `surrogates`: noise residuals that calibrate the gate; `rng` for them.
 
     **Returns:** a `Screening`.
     """
-    products = Products(noise_model, e, J, features.responses, data.kept)
-    first, overflowed = score_all(products, features)
+    noise = white_noise_model(e, data.kept, system)
+    products = Products(noise, e, J, features.responses, data.kept)
+    white, overflowed = score_all(products, features)
+    first = white
+    if noise_model is not None:
+        products = Products(noise_model, e, J, features.responses, data.kept)
+        first, _ = score_all(products, features)
+    noise_model = noise if noise_model is None else noise_model
     few, scores, clean = features, first, e
     for turn in range(rounds):
         clean = without(e, J, few, products, scores, data.kept, noise_model.level, picked)
@@ -189,7 +195,7 @@ def screen(
     threshold = settings.MIN_DELTA_BIC
     if surrogates and scores and settings.MIN_DELTA_BIC < scores[0].delta_bic < settings.CLEAR_DELTA_BIC:
         threshold = max(settings.MIN_DELTA_BIC, _calibrated(products, scores, surrogates, rng))
-    return Screening(scores, noise_model, products.rows, clean, threshold, overflowed, first)
+    return Screening(scores, noise_model, products.rows, clean, threshold, overflowed, white)
 
 
 def without(

@@ -7,7 +7,7 @@ import numpy as np
 from ...mechanics.effects.base import AbstractEffect, AbstractMatrixEffect
 from .. import settings
 from .flexible_force import FlexibleForce
-from .score_test import Score, Screening
+from .score_test import Score, Screening, best_by_place
 
 TRIED = 4
 """Candidates of a round up to which another place of the best is tried, too."""
@@ -20,11 +20,12 @@ SAME = 0.05
 
 
 def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
-    """Candidates worth a refit, each with the shapes to start from: best by measured motion, then by simulated."""
+    """Candidates worth a refit, each with the shapes to start from: best by measured motion, then by simulated.
+
+    First the best under white noise: the noise model that was estimated may take an effect for coloured noise.
+    """
     near, far = closer.best_by_place(), screening.best_by_place()
-    white = {}
-    for score in screening.first:
-        white.setdefault((score.shape.effect.id, score.shape.place.name), score)
+    near_white, far_white = best_by_place(closer.white), best_by_place(screening.white)
     chosen: dict[tuple[str, str], list[Score]] = {}
 
     def add(ranking, count):
@@ -39,13 +40,14 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
             count -= 1
 
     add(near, 3)
-    add(far, 1 if chosen else 3)
-    add(white, 1 if chosen else 3)
-    tables = (near, far, white)
+    for table in (far, far_white):
+        add(table, 1 if chosen else 3)
+    likely = (key for key, score in near_white.items() if key[0] != FlexibleForce.id)
+    chosen = {key: [] for key in [*likely][:1] if near_white[key].delta_bic >= settings.MIN_DELTA_BIC} | chosen
+    tables = (near, far, near_white, far_white)
+    entries = [entry for table in tables for entry in table.items()]
     # A law that turns into a simpler one is only worth what it explains beyond that.
-    for effect, place in [
-        (score.shape.effect, key[1]) for key, score in [*near.items(), *far.items(), *white.items()] if key in chosen
-    ]:
+    for effect, place in [(score.shape.effect, key[1]) for key, score in entries if key in chosen]:
         for simpler in effect.contains:
             known = any((simpler, place) in table for table in tables)
             if known and (simpler, place) not in chosen:
@@ -64,7 +66,7 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
                 break
     # A law that contains one of these is its refit with little more to find.
     simple = set(chosen)
-    for key, score in ((key, score) for table in tables for key, score in table.items()):
+    for key, score in entries:
         inside = any((simpler, key[1]) in simple for simpler in score.shape.effect.contains)
         if inside and key not in chosen and score.delta_bic > settings.MIN_DELTA_BIC:
             chosen[key] = []

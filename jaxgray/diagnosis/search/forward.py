@@ -16,6 +16,7 @@ from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
 from ..estimation.significance import at_bound
 from ..findings import Move, Reason, Refusal, Rejected
 from ..model.candidate import Candidate, Data
+from ..model.free_run import overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.whitening import estimate_noise_model, white_noise_model
 from ..screening.flexible_force import FlexibleForce
@@ -125,9 +126,10 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         return 1
     white = dataclasses.replace(context, white=True)
     least = 100 * settings.MIN_EXPLAINED_SHARE if _moves(context) else settings.MIN_GAIN_WHERE_LITTLE_MOVES
-    free = _under_white_noise(white, state, screening, ranked)
-    if _accepted(white, state, free, Move.WHITE_NOISE, least=least, most=1):
-        return 1
+    if _largest_gain(context, state, ranked) >= least:
+        free = _under_white_noise(white, state, screening, closer, ranked)
+        if _accepted(white, state, free, Move.WHITE_NOISE, least=least, most=1):
+            return 1
     if _accepted(context, state, _unsure(state, ranked, before), Move.KNOWN_SHAPE, given_shape=True):
         return 1
     refuted = screening.fires and _refuted(context, state, ranked, searched)
@@ -143,7 +145,7 @@ def _closer(context: SearchContext, stage: Stage, screening: Screening) -> Scree
 
 
 def _under_white_noise(
-    context: SearchContext, state: SearchState, screening: Screening, ranked: list[Attempt]
+    context: SearchContext, state: SearchState, screening: Screening, closer: Screening, ranked: list[Attempt]
 ) -> list[Attempt]:
     """Candidates refitted under white noise, best first, none without other data to judge them by; begun as any, and
     where they ended under the noise that was estimated (`ranked`).
@@ -155,15 +157,14 @@ def _under_white_noise(
     if not context.validation or state.provisional is not None:
         return []
     noise_model = white_noise_model(stage.e, data.kept, stage.system)
-    simulated = dataclasses.replace(screening, scores=screening.first, noise_model=noise_model)
-    closer = screen_smoothed(stage, data, context.catalogue, context.names, noise_model, renewed=False)
+    screening, closer = (dataclasses.replace(s, scores=s.white, noise_model=noise_model) for s in (screening, closer))
 
     def again(attempt: Attempt) -> Attempt:
         context.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
         return dataclasses.replace(refit_for_free_run(context, state, attempt), noise_model=noise_model)
 
     best = _better_ones(
-        compared(context, stage, _refitted(context, state, simulated, closer) + side_by_side(again, ranked))
+        compared(context, stage, _refitted(context, state, screening, closer) + side_by_side(again, ranked))
     )
     # A mode rings as coloured noise does.
     lasting = [a for a in best if not is_local(context, a.score.shape.effect) and not adds_mode(a.score.shape.effect)]
@@ -176,6 +177,14 @@ def _under_white_noise(
 
     clear = (a for a in lasting if a.delta_bic > settings.CLEAR_DELTA_BIC and unresolved(a.fit, a.score) is None)
     return [attempt for attempt in clear if evident(attempt)]
+
+
+def _largest_gain(context: SearchContext, state: SearchState, ranked: list[Attempt]) -> float:
+    """Gain on held-out data [%] of a law that leaves nothing: no refit can gain more."""
+    if not context.validation:
+        return 0.0
+    left, baseline = (overall(rms_of(runs), floor_of(context, ranked)) for runs in (state.runs, state.baseline_runs))
+    return 100 * left / baseline
 
 
 def _moves(context: SearchContext) -> bool:
@@ -204,7 +213,7 @@ def _without(
 def _strong(screening: Screening) -> bool:
     """Whether some candidate takes most of what is left, though the noise model could pass it off as noise at the
     forces."""
-    best = screening.first[0] if screening.first else None
+    best = screening.white[0] if screening.white else None
     if best is None or best.delta_bic < settings.CLEAR_DELTA_BIC:
         return False
     return 1 - np.exp(-best.ratio / screening.rows) > settings.LARGE_RESIDUAL_SHARE

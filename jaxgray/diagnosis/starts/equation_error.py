@@ -43,7 +43,7 @@ def from_forces(context: SearchContext, stage: Stage, screening: Screening) -> l
     def refitted(trial) -> Attempt | None:
         effect, place = trial.name
         here = (
-            s for s in (*screening.first, *screening.scores) if (s.shape.effect.id, s.shape.place.name) == trial.name
+            s for s in (*screening.white, *screening.scores) if (s.shape.effect.id, s.shape.place.name) == trial.name
         )
         score = next(here, None)
         if score is None:

@@ -25,7 +25,7 @@ def untried_look_alikes(
     listed, contacts = [], {place for law, place in tried if law in settings.CONTACT}
     for effect_id in sorted(ids):
         scores: list[Score] = []
-        for table in (closer.scores, screening.scores, screening.first):
+        for table in (closer.scores, screening.scores, screening.white):
             best = next((score for score in table if score.shape.effect.id == effect_id), None)
             if best is None or best.delta_bic < settings.MIN_DELTA_BIC:
                 continue

@@ -28,10 +28,10 @@ def hidden_modes(
     already. Where the gate fires or the residual rings, every place is tried, otherwise those where a mode would
     explain something: the first of them from every line of the residual, the others from where that one ended.
     """
-    line = next((score for score in screening.first if score.shape.effect.id == PeriodicDisturbance.id), None)
+    line = next((score for score in screening.white if score.shape.effect.id == PeriodicDisturbance.id), None)
     anywhere = screening.fires or (line is not None and line.delta_bic > settings.CLEAR_DELTA_BIC)
     listed: dict[tuple[str, str], Score] = {}
-    for score in screening.first:
+    for score in screening.white:
         effect, name = score.shape.effect, (score.shape.effect.id, score.shape.place.name)
         if adds_mode(effect) and (anywhere or score.delta_bic >= settings.MIN_DELTA_BIC) and name not in tried:
             listed.setdefault(name, score)
