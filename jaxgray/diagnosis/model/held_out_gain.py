@@ -20,6 +20,9 @@ SHORT = 40
 RESAMPLES = 2000
 """Of the bootstrap: enough for the bound of the twentieth candidate that is judged on the same data."""
 
+INTERVAL = 0.025, 0.975
+"""Quantiles of the bootstrap at the ends of a 95 % interval."""
+
 LONG = (4, 5, 6, 8, 12)
 """Pieces of the jackknife; the number with the largest spread counts."""
 
@@ -35,13 +38,15 @@ def gain_of(
     rng: np.random.Generator,
     seen: tuple[list[FreeRun], list[FreeRun], list[FreeRun]] | None = None,
     trials: int = 1,
+    of_this_record: bool = False,
 ) -> Gain:
     """Gain from one model to the next, with its intervals.
 
     **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
     `names` of outputs; `held_out`; `rng`; `seen`: the same three on the data of the fit, for gains on
     held-out data; `trials`: candidates judged on these data so far, this one included: the k-th must be sure with a
-    k-th part of the risk of the first.
+    k-th part of the risk of the first; `of_this_record`: of what no other record has, so that the interval is that of
+    the bootstrap.
 
     **Returns:** a `Gain`.
 
@@ -57,7 +62,7 @@ def gain_of(
     if held_out and seen is not None:
         fitted = _Pieces(seen, floor, 1)
         between = abs(float(fitted.left(np.arange(len(fitted))) - short.left(everything)))
-    interval = _interval(runs, floor, between)
+    interval = tuple(np.quantile(draws, INTERVAL).tolist()) if of_this_record else _interval(runs, floor, between)
     return Gain(pairs, percent, interval, float(np.quantile(draws, settings.HELD_OUT_RISK / trials)), held_out)
 
 

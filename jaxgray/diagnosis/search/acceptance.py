@@ -84,13 +84,15 @@ def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: 
         return why, None, None
     names = context.names[1]
     seen = runs_seen(context, here.e, attempt.fit.residual[0], state.start.e)
-    if is_local(context, attempt.score.shape.effect) or not context.validation:
+    local = is_local(context, attempt.score.shape.effect)
+    if local or not context.validation:
         runs = state.runs
-        gain = gain_of(*seen, floor, names, held_out=False, rng=context.rng)
+        options = {"held_out": False, "rng": context.rng, "of_this_record": local}
+        gain = gain_of(*seen, floor, names, **options)
         # What was fitted to these data always gains a little. Beside what it mends itself: how far the error varied
         # that earlier findings took away is nothing to it.
         left, after, _ = seen
-        alone = gain_of(left, after, left, floor, names, held_out=False, rng=context.rng)
+        alone = gain_of(left, after, left, floor, names, **options)
         sure = alone.ci99_lower > 0 and alone.ci95[0] > 0
         why = None if sure else Refusal(Reason.NO_SURE_GAIN, "no sure gain, even on the data of the fit")
         return why, gain, runs
