@@ -11,8 +11,7 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready, relieve, undisturbed
 from ..records import Record, check_compatible, preflight
-from .hidden_order import identify_auto
-from .identify_hidden import HiddenRequest, identify_hidden, wants_hidden
+from .identify_hidden import HiddenRequest, identify_auto, identify_hidden, wants_hidden
 from .initialization.base_start import MassKnowledge
 from .initialization.guard import lost
 from .initialization.rigid import DRIFT, TURNED, phases, rigid_modes, windows, without_stiffness

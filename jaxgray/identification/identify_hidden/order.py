@@ -5,14 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..numerics.filters import filtered
-from ..numerics.outcomes import RESULTS, ComputationError
-from ..numerics.progress import AbstractProgress
-from ..records import Record
-from .hidden import HiddenEvidence, OrderEvidence, OrderStep, canonical_gauge
-from .identify_hidden import HiddenRequest, identify_hidden
-from .result import Identification
-from .validation.structure_test import ar_by_bic
+from ...numerics.filters import filtered
+from ...numerics.outcomes import RESULTS, ComputationError
+from ...numerics.progress import AbstractProgress
+from ...records import Record
+from ..hidden import HiddenEvidence, OrderEvidence, OrderStep, canonical_gauge
+from ..result import Identification
+from ..validation.structure_test import ar_by_bic
+from .identify import identify_hidden
+from .request import HiddenRequest
 
 MIN_DELTA_BIC = 10.0
 """Fall of BIC that one more hidden coordinate must bring."""

@@ -1,0 +1,6 @@
+"""Models with coordinates that no output measures: how many, which form, and how they are found."""
+
+from .identify import identify_hidden as identify_hidden
+from .order import identify_auto as identify_auto
+from .request import HiddenRequest as HiddenRequest
+from .request import wants_hidden as wants_hidden

@@ -1,0 +1,156 @@
+"""Masses, dampers and springs that are connected as a person says."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ...mechanics.drives import Force
+from ...numerics.outcomes import ComputationError
+from ..hidden import (
+    Connections,
+    Family,
+    HiddenEvidence,
+    HigherOrder,
+    determinacy,
+    fixed_elements,
+    matched,
+    realized_response,
+)
+from ..initialization.start import Start
+from ..refinement.normal_equations import join
+from ..refinement.refine import Refinement, StructurePrice
+from ..result import Identification
+from ..setup.structure import Structure
+from .canonical import canonical_fit
+from .elements import elements_of, undetermined_entries
+from .task import Task, assessed, collocated, in_windows, merit, model_of, refined_from, start_of
+
+MOST_ALTERNATIVES = 4
+"""Equally good sets of parameters that are refined."""
+
+POOR_MATCH = 1e-4
+"""Mean squared relative error of a structure's transfer function from which the slowest poles are not trusted."""
+
+AS_LIKELY = 6.0
+"""Rise of −2 ln L up to which another set of parameters counts as equally good."""
+
+
+def structured(task: Task, found, connections: Connections, notes: tuple[str, ...]) -> Identification:
+    """Masses, dampers and springs of a structure."""
+    drive = task.drive
+    known = fixed_elements(task.request.fix, connections)
+    if not isinstance(drive, Force) and not any(owner == "mass" for owner, _ in known):
+        known["mass", 0] = 1.0
+        notes += (
+            "Base excitation determines M⁻¹D and M⁻¹K only: the model is normalised to "
+            f"mass[{connections.names[0]}] = 1; give a mass with fix to set the scale.",
+        )
+    form = connections.structure.scaled(np.asarray(task.scaling.coordinates))
+    family = Family.of(form, task.setting)
+    units = _element_units(task, form)
+    position = {"mass": 0, "damping": task.dofs, "stiffness": task.dofs + len(connections.dampers)}
+    held = np.zeros(len(units), bool)
+    given = np.full(len(units), np.nan)
+    for (owner, k), value in known.items():
+        held[position[owner] + k], given[position[owner] + k] = True, value * units[position[owner] + k]
+
+    task.progress.stage("structure")
+    free = None
+    if collocated(drive, task.outputs) and task.request.refine:
+        try:
+            free = canonical_fit(replace(task, request=replace(task.request, fix=None)), found)
+        except ComputationError:
+            free = None
+        if free is not None:
+            task = replace(task, records=free[0].records, signals=free[0].signals)
+    best, tau, rows = found[0]
+    target, rates = _target(task, best, free)
+    ends = matched(family, target, rates, given)
+    loose = task.dofs - np.linalg.matrix_rank(family.matrices(np.ones(len(units)))[2])
+    if loose and ends.errors[0] > POOR_MATCH:
+        # What drift made of the slowest poles says nothing of a body that no spring holds.
+        others = matched(family, target, np.sort(rates)[2 * loose :], given)
+        ends = max((ends, others), key=lambda found: _matched_merit(task, family, found.parameters[0], best, tau, rows))
+    theta = np.where(held, np.nan_to_num(given), ends.parameters)
+    outcome = determinacy(family, theta[0], connections.elements, units=units, held=held)
+    candidates = theta[: MOST_ALTERNATIVES if outcome.complete else 1]
+    starts = [start_of(task, family.matrices(x), best, tau, rows, "subspace") for x in candidates]
+    order = np.argsort([-s.score for s in starts], kind="stable")
+    start = starts[order[0]]
+    refinement, others = None, []
+    if task.request.refine:
+        task.progress.stage("refining")
+        task, refinements = _all_refined(task, [starts[k] for k in order], form, held)
+        refinement, others = refinements[0], refinements[1:]
+        if free is not None and free[2] is not None:
+            saved = int((~free[4]).sum() - (~held).sum())
+            price = StructurePrice(saved, refinement.cost - free[2].cost)
+            refinement = eqx.tree_at(lambda r: r.price, refinement, price, is_leaf=lambda x: x is None)
+    else:
+        others = [starts[k] for k in order[1:]]
+    model = model_of(task, refinement, start, known)
+    alternatives = tuple(model_of(task, other, other, known) for other in others)
+    undetermined = undetermined_entries(connections, outcome, held)
+    none = {name: np.zeros_like(X) for name, X in undetermined.items()}
+    evidence = HiddenEvidence(
+        task.request.names,
+        False,
+        none,
+        undetermined,
+        outcome.combinations,
+        outcome.rank,
+        outcome.parameters,
+        (),
+        alternatives,
+    )
+    result = assessed(task, model, start, refinement, form, held, notes, evidence)
+    elements = elements_of(result, connections, outcome, held)
+    return replace(result, hidden=replace(evidence, elements=elements))
+
+
+def _matched_merit(task: Task, family: Family, theta, model: HigherOrder, tau: float, rows: int) -> float:
+    with np.errstate(all="ignore"):
+        return merit(task, start_of(task, family.matrices(theta), model, tau, rows, "subspace"))
+
+
+def _target(task: Task, best: HigherOrder, free):
+    """The transfer function to match, in the units of the task, and the sizes of its poles."""
+    if free is None or free[2] is None:
+        values = np.abs(np.linalg.eigvals(best.A))
+        return lambda s: realized_response(best.A, best.B, best.Cy, best.Dy, s), values
+    own, refinement = free[0].setting, free[2]
+    M, D, K = (np.asarray(X) for X in (refinement.mass, refinement.damping, refinement.stiffness))
+    system = own.drive.state_space(M, D, K, own.measured, 1.0)
+    A, B, C, Dy = (np.asarray(X) for X in (system.A, system.B, system.C, system.D))
+    return lambda s: realized_response(A, B, C, Dy, s), np.abs(np.linalg.eigvals(A))
+
+
+def _all_refined(task: Task, starts: list[Start], form, held) -> tuple[Task, list[Refinement]]:
+    """Refinements from equally good starts; of the ends, those as likely as the best, no two alike."""
+    task = in_windows(task, starts[0])
+    ends, failure = [], None
+    for start in starts:
+        try:
+            ends.append(refined_from(task, start, form, held))
+        except ComputationError as error:
+            failure = error
+    if not ends:
+        raise failure
+    least = min(end.cost for end in ends)
+    kept: list[Refinement] = []
+    for end in sorted(ends, key=lambda end: end.cost):
+        if end.cost > least + AS_LIKELY:
+            continue
+        z = join([np.asarray(block) for block in end.blocks])
+        if not any(np.allclose(z, join([np.asarray(b) for b in other.blocks]), rtol=0.01) for other in kept):
+            kept.append(end)
+    return task, kept
+
+
+def _element_units(task: Task, form: Structure) -> Float[np.ndarray, " parameters"]:
+    """Scaled parameters for one unit of every mass, damper and spring."""
+    T = float(task.scaling.sampling_time)
+    masses = np.asarray(task.scaling.coordinates) ** 2
+    return np.concatenate([masses / T**2, form.damping.units / T, form.stiffness.units])
