@@ -1,7 +1,6 @@
 """The force equation on bodies without a spring to the ground, of more than one coordinate."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import hidden
 import numpy as np
@@ -11,7 +10,6 @@ from independent import smooth_noise
 from jaxgray import Record, diagnose, write_report
 from jaxgray.diagnosis.conclusions.equation_error import force_diagnosis
 from jaxgray.diagnosis.conclusions.missing_force import missing_forces
-from jaxgray.diagnosis.equation_error.search import _ordered
 from jaxgray.diagnosis.equation_error.without_unmeasured_forces import search_forces
 from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import by_id
@@ -51,8 +49,8 @@ def test_friction_of_two_bodies_that_drift_is_found_among_laws_that_explain_as_m
     assert found[0].gain.ci99_lower > 0
     # Of laws that explain as much the one of fewer parameters is judged first, wherever it stands.
     wide = dataclasses.replace(search.taken[0].trial, fit=dataclasses.replace(search.fit, moving=((0, 1),)))
-    plain = dataclasses.replace(search.taken[0].trial, explained=0.9 * wide.explained)
-    assert _ordered(SimpleNamespace(taken=[]), [wide, plain]) == [plain, wide]
+    plain = dataclasses.replace(search.taken[0].trial, power=0.9 * wide.power)
+    assert dataclasses.replace(search, taken=[]).ordered([wide, plain]) == [plain, wide]
 
 
 def test_what_is_missing_is_shown_where_samples_were_lost(tmp_path):

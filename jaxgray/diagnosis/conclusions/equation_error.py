@@ -16,7 +16,6 @@ from ..equation_error.search import Search
 from ..equation_error.unmeasured_forces import warnings_of
 from ..findings import Curves, Finding, Member, ModelSummary, Move, NotFound
 from ..model.free_run import FreeRun, overall, rms_of
-from ..model.held_out_gain import gain_of
 from ..noise.whitening import white_part
 from ..result import Diagnosis
 from .assembly import estimates_of, shifts_of
@@ -45,12 +44,10 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
         extended = _summary(search, search.fit, search.runs)
         errors = dict(zip(("mass", "damping", "stiffness"), search.fit.errors))
         shifts = shifts_of(search.model(search.base), search.model(search.fit), errors)
-        before, after = (x[1] or x[0] for x in (search.base_runs, search.runs))
-        if len(search.taken) == 1:
-            # The same, from the same draws: one finding must not have two intervals.
-            gain = search.taken[0].gain
-        else:
-            gain = gain_of(before, after, before, floor, names, held_out=bool(held), rng=search.rng)
+        # The same, from the same draws: one finding must not have two intervals.
+        gain = (
+            search.taken[0].gain if len(search.taken) == 1 else search.gain_over(search.base_runs, search.runs, floor)
+        )
     verdict = "noise"
     if lost or (search.strong and findings):
         verdict = "partly" if findings else "unexplained"
@@ -112,7 +109,7 @@ def _finding(search: Search, index: int) -> Finding:
     status = "named" if len(members) == 1 else "equivalent"
     for one, difference in taken.stood_in:
         members.append(_member(one.fit, -1, record, min(difference, 0.0)))
-    before = search.taken[index - 1].error if index else search.error(search.base)
+    before, after = (search.error(one) for one in (search.taken[index - 1].fit if index else search.base, taken.fit))
     return Finding(
         *taken.trial.name,
         status,
@@ -121,7 +118,7 @@ def _finding(search: Search, index: int) -> Finding:
         members[0].parameters,
         taken.trial.delta_bic,
         taken.gain,
-        f"Relative force error {before:.3g} before, {taken.error:.3g} after."
+        f"Relative force error {before:.3g} before, {after:.3g} after."
         + (f" {', '.join(shared)} is that of the finding before." if shared else ""),
         Move.FORCE_EQUATION.value,
     )
@@ -184,8 +181,9 @@ def _budget(search: Search) -> dict[str, float]:
     before = search.error(search.base) ** 2
     shares, last = {}, before
     for taken in search.taken:
-        shares[" at ".join(taken.trial.name)] = 100 * (last - taken.error**2) / before
-        last = taken.error**2
+        error = search.error(taken.fit) ** 2
+        shares[" at ".join(taken.trial.name)] = 100 * (last - error) / before
+        last = error
     rest = 100 * last / before
     return {**shares, "noise": 0.0 if search.strong else rest, "unexplained": rest if search.strong else 0.0}
 

@@ -12,7 +12,6 @@ from ...records import Record
 from ..data_checks.record_findings import noise_findings
 from ..findings import Curves, Finding, Member, ModelSummary, Move
 from ..model.free_run import overall, rms_of
-from ..model.held_out_gain import gain_of
 from ..result import Diagnosis
 from ..static_gain.regression import StaticFit
 from ..static_gain.search import search_static
@@ -39,12 +38,13 @@ def static_diagnosis(
     """
     search = search_static(records, held, catalogue, max_effects, rng=rng, progress=progress)
     base, fit, base_runs, runs, taken = search.base, search.fit, search.base_runs, search.runs, search.taken
-    strong = search.something_left
+    strong = search.strong
     record, names = records[0], records[0].output_names
     floor = rms_of(runs[0])
     findings = []
-    for k, (trial, rivals, gain) in enumerate(taken):
-        members = [_member(fit, k, taken[-1][0].share, record, 0.0)]
+    for k, selected in enumerate(taken):
+        trial, rivals, gain = selected.trial, selected.rivals, selected.gain
+        members = [_member(fit, k, taken[-1].trial.share, record, 0.0)]
         for rival in rivals:
             difference = rival.delta_bic - trial.delta_bic
             members.append(_member(rival.fit, len(rival.fit.terms) - 1, rival.share, record, difference))
@@ -64,14 +64,13 @@ def static_diagnosis(
     if strong:
         verdict = "partly" if findings else "unexplained"
     else:
-        verdict = "noise" if not findings else "equivalent" if any(r for _, r, _ in taken) else "named"
+        verdict = "noise" if not findings else "equivalent" if any(one.rivals for one in taken) else "named"
     if verdict == "unexplained":
         findings.append(Finding("unexplained", names[0], "unexplained", "model", (), {}, None, None))
-    before, after = (x[1] or x[0] for x in (base_runs, runs))
     shares, last = {}, base.cost
-    for trial, _, _ in taken:
-        shares[" at ".join(trial.name)] = 100 * (last - trial.fit.cost) / base.cost
-        last = trial.fit.cost
+    for selected in taken:
+        shares[" at ".join(selected.trial.name)] = 100 * (last - selected.fit.cost) / base.cost
+        last = selected.fit.cost
     rest = 100 * last / base.cost
     warnings = (
         "The record says nothing of inertia: decided on a static gain; its model has no mass and no damping, and must "
@@ -91,13 +90,13 @@ def static_diagnosis(
         noise_floor_source="residual of the final static model",
         findings=noise + tuple(findings),
         extended=_summary(fit, records, held, drive, runs) if taken else None,
-        gain=gain_of(before, after, before, floor, names, held_out=bool(held), rng=rng) if taken else None,
+        gain=search.gain_over(base_runs, runs, floor) if taken else None,
         excess=overall(rms_of(runs[0]), floor),
         baseline_excess=overall(rms_of(base_runs[0]), floor),
         white=False,
         explainable=None,
         depends_on=("the history of the input",) if verdict in ("partly", "unexplained") else (),
-        rejected=search.rejected,
+        rejected=tuple(search.rejected),
         not_found=(),
         shifts=(),
         budget={**shares, "noise": 0.0 if strong else rest, "unexplained": rest if strong else 0.0},

@@ -1,4 +1,4 @@
-"""The diagnosis of records that say nothing of inertia: effects at the inputs of a static gain, judged held out."""
+"""The diagnosis of records that say nothing of inertia: effects at the inputs of a static gain (`selection.py`)."""
 
 from dataclasses import dataclass
 
@@ -6,20 +6,18 @@ import numpy as np
 
 from ...identification.validation.structure_test import ROUNDING
 from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Scales, Term, places_of
-from ...numerics.progress import AbstractProgress, BudgetSpent
+from ...numerics.progress import AbstractProgress
 from ...records import Record
-from .. import settings
-from ..acceptance import AbstractEvidence, bound_of, negligible, unproven, unsound
-from ..findings import Gain, Reason, Refusal, Rejected
+from ..acceptance import bound_of
 from ..model.candidate import estimated
 from ..model.free_run import FreeRun, rms_of
-from ..model.held_out_gain import gain_of
 from ..noise.effective_samples import independent_share
+from ..selection import AbstractSelection, AbstractTrial
 from .regression import Static, StaticFit
 
 
 @dataclass(frozen=True)
-class Trial(AbstractEvidence):
+class Trial(AbstractTrial):
     """A refitted candidate; `delta_bic` against the fit `without` it, under its own share of independent samples."""
 
     without: StaticFit
@@ -27,27 +25,19 @@ class Trial(AbstractEvidence):
     fit: StaticFit
     delta_bic: float
     share: float
-    runs: list[FreeRun]
-
-    @property
-    def name(self) -> tuple[str, str]:
-        """Effect and place."""
-        term = self.fit.terms[-1]
-        return term.effect.id, term.place.name
 
     def bound(self):
-        return bound_of(self.fit.terms[-1], estimated(self.fit.terms[-1]))
+        return bound_of(self.term, estimated(self.term))
 
     def other_law(self):
-        term = self.fit.terms[-1]
-        return term.effect.unresolved(np.asarray(term.values, float), self.scales)
+        return self.term.effect.unresolved(np.asarray(self.term.values, float), self.scales)
 
     def explained(self):
         return 1 - self.fit.cost / self.without.cost
 
     def size(self):
         """Of several amplitudes, which may share one loop between them, what ΔBIC says."""
-        term = self.fit.terms[-1]
+        term = self.term
         amplitudes = [j for j in estimated(term) if term.effect.parameters[j].amplitude]
         if len(amplitudes) != 1:
             return float(np.sqrt(max(self.delta_bic, 0.0) / len(amplitudes))) if amplitudes else np.inf
@@ -55,22 +45,30 @@ class Trial(AbstractEvidence):
         return abs(float(term.values[amplitudes[0]])) / error if error > 0 else 0.0
 
 
-@dataclass(frozen=True)
-class StaticSearch:
-    """What the search over a static gain ended with.
+@dataclass(kw_only=True)
+class StaticSearch(AbstractSelection):
+    """The selection over a static gain: `problem` and `later` fit the records and those held out; `effects`: tried."""
 
-    `base`, `fit`: without effects and with those taken; `base_runs`, `runs`: their runs over the data of the fit and
-    over the held-out data; `taken`: per effect its refit, those that explain as much, and its gain; `rejected`;
-    `something_left`: whether a further effect passed every test but was not taken.
-    """
+    problem: Static
+    later: Static
+    effects: tuple[AbstractInputEffect, ...]
 
-    base: StaticFit
-    fit: StaticFit
-    base_runs: tuple[list[FreeRun], list[FreeRun]]
-    runs: tuple[list[FreeRun], list[FreeRun]]
-    taken: tuple[tuple[Trial, tuple[Trial, ...], Gain], ...]
-    rejected: tuple[Rejected, ...]
-    something_left: bool
+    def run(self, fit):
+        return self.problem.run(fit), self.later.run(fit)
+
+    def looks(self, last):
+        return not _is_rounding(self.base_runs[0], self.records)
+
+    def trials(self):
+        trials, accepted = [], {taken.trial.name for taken in self.taken}
+        for effect in self.effects:
+            places = places_of(effect, self.records[0].input_names, self.records[0].output_names)
+            for place in places:
+                if (effect.id, place.name) not in accepted:
+                    self.progress.stage(f"refitting {effect.id} at {place.name}")
+                    trial = _trial(self.problem, self.fit, effect, place, len(places))
+                    trials += [] if trial is None else [trial]
+        return sorted(trials, key=lambda trial: -trial.delta_bic)
 
 
 def search_static(
@@ -88,70 +86,12 @@ def search_static(
     `max_effects`; `rng`; `progress`.
     """
     progress.unlimited.stage("fitting a static gain")
-    problem, later = Static(records), Static(held)
-    names, inputs = records[0].output_names, records[0].input_names
-    base = fit = problem.fit(())
-    base_runs = problem.run(base), later.run(base)
-    runs = base_runs
-    taken: list[tuple[Trial, tuple[Trial, ...], Gain]] = []
-    rejected: list[Rejected] = []
-    strong = False
-    effects = [e for e in catalogue if isinstance(e, AbstractInputEffect)]
-    # One look more than effects may be added: whether something is left.
-    for turn in range(0 if _is_rounding(base_runs[0], records) else max_effects + 1):
-        accepted = {trial.name for trial, _, _ in taken}
-        try:
-            trials = _trials(problem, fit, effects, accepted, (inputs, names), progress)
-        except BudgetSpent:
-            strong = True
-            break
-        passed = []
-        for trial in trials:
-            why = unsound(trial) or negligible(trial, "what is left")
-            if why is None:
-                passed.append(trial)
-            elif trial.delta_bic > 0:
-                rejected.append(Rejected.of(trial.name, trial.delta_bic, why))
-        strong = bool(passed)
-        if turn == max_effects:
-            break
-        found = None
-        for judged, trial in enumerate(passed, start=1):
-            new = problem.run(trial.fit), later.run(trial.fit)
-            before, after, first = (x[1] or x[0] for x in (runs, new, base_runs))
-            options = {"held_out": bool(held), "rng": rng, "trials": judged}
-            gain = gain_of(before, after, first, rms_of(first), names, **options)
-            if (why := unproven(gain)) is None:
-                found = trial, gain, new
-                break
-            rejected.append(Rejected.of(trial.name, trial.delta_bic, why, gain))
-        if found is None:
-            break
-        trial, gain, runs = found
-        rivals = []
-        for other in passed:
-            difference = trial.delta_bic - other.delta_bic
-            if 0 <= difference < settings.CLASS_DELTA_BIC and other is not trial:
-                rivals.append(other)
-            elif difference >= settings.CLASS_DELTA_BIC:
-                words = f"explained better by {' at '.join(trial.name)} (by {difference:.0f})"
-                rejected.append(Rejected.of(other.name, other.delta_bic, Refusal(Reason.EXPLAINED_BETTER, words)))
-        taken.append((trial, tuple(rivals[:3]), gain))
-        fit = trial.fit
-    return StaticSearch(base, fit, base_runs, runs, tuple(taken), tuple(rejected), strong)
-
-
-def _trials(problem: Static, fit: StaticFit, effects, accepted, channels, progress) -> list[Trial]:
-    """Every effect at every place where it is not in the model, refitted, best first."""
-    trials = []
-    for effect in effects:
-        places = places_of(effect, *channels)
-        for place in places:
-            if (effect.id, place.name) not in accepted:
-                progress.stage(f"refitting {effect.id} at {place.name}")
-                trial = _trial(problem, fit, effect, place, len(places))
-                trials += [] if trial is None else [trial]
-    return sorted(trials, key=lambda trial: -trial.delta_bic)
+    effects = tuple(e for e in catalogue if isinstance(e, AbstractInputEffect))
+    data = {"records": records, "held": held, "problem": Static(records), "later": Static(held)}
+    search = StaticSearch(**data, effects=effects, rng=rng, progress=progress)
+    search.base = search.fit = search.problem.fit(())
+    search.select(max_effects)
+    return search
 
 
 def _is_rounding(runs: list[FreeRun], records: list[Record]) -> bool:
@@ -172,7 +112,7 @@ def _trial(problem: Static, before: StaticFit, effect: AbstractEffect, place, pl
             best = made
     if best is None:
         return None
-    runs = problem.run(best)
-    share = independent_share(max((run.e[run.kept.all(axis=1)] for run in runs), key=len))
+    parts = (run.e[run.kept.all(axis=1)] for run in problem.run(best))
+    share = independent_share(max(parts, key=len))
     delta = before.criterion(share) - best.criterion(share) - 2 * np.log(len(shapes) * places)
-    return Trial(before, scales, best, float(delta), share, runs)
+    return Trial(before, scales, best, float(delta), share)
