@@ -112,6 +112,11 @@ def done(out):
     return len(glob.glob(f"{out}/results/*.json"))
 
 
+def written(out):
+    """When every result was written: one that changes was done again."""
+    return {path: os.stat(path).st_mtime_ns for path in glob.glob(f"{out}/results/*.json")}
+
+
 def robust(options, folder):
     """Workers killed, the scheduler killed, the command stopped: afterwards the table is that of a quiet run."""
     count = options.records
@@ -137,7 +142,7 @@ def robust(options, folder):
             os.killpg(process.pid, signal.SIGINT)
             break
     process.wait(60)
-    stopped, first = process.returncode, done(out)
+    stopped, first, before = process.returncode, done(out), written(out)
     # A scheduler of its own, killed when 40 % are done.
     port = 18786
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
@@ -157,12 +162,16 @@ def robust(options, folder):
             os.killpg(scheduler.pid, signal.SIGKILL)
             break
     lost = process.communicate(timeout=120)[1].strip().splitlines()
-    second = done(out)
+    second, between = done(out), written(out)
     with contextlib.suppress(ProcessLookupError):
         os.killpg(worker.pid, signal.SIGKILL)
     halves = [path for path in out.rglob("*") if path.suffix == ".json" and not _whole(path)]
     seconds, code, said = finished(*fleet_of(folder / "records", out, "--workers", 2, "--no-pages", "--quiet"))
     assert code == 0, said
+    after = written(out)
+    again = sum(between[path] != at for path, at in before.items()) + sum(
+        after[path] != at for path, at in between.items()
+    )
     one, other = table_of(folder / "quiet"), table_of(out)
     numbers = one.select_dtypes("number").columns.drop("seconds")
     equal = np.allclose(one[numbers], other[numbers], rtol=1e-6, equal_nan=True)
@@ -175,6 +184,7 @@ def robust(options, folder):
         "results after the scheduler's death": second,
         "said then": lost[-1] if lost else "",
         "exit code then": process.returncode,
+        "results done again": again,
         "half-written results": len(halves),
         "left behind": len(list(out.rglob(".part-*"))),
         "results in the end": done(out),
