@@ -13,6 +13,7 @@ from ...mechanics.effects.base import Term
 from ...numerics.side_by_side import side_by_side
 from .. import settings
 from ..model.candidate import Candidate
+from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel, white_noise_model
 from ..screening.features import features
 from ..screening.linearization import sampled_plant, stage_of
@@ -21,6 +22,7 @@ from ..screening.scales import scales_at
 from ..screening.spectral_lines import lines_of
 from .context import SearchContext, noise_model_of
 from .gauss_newton import Refit, refit
+from .normal_equations import Equations
 
 TURNS = 3
 """Times that values are chosen, every time with M, D, K of the refit before, as long as that pays."""
@@ -52,8 +54,9 @@ def from_other_values(
     noise_model = noise_model_of(context, fit)
     data, options = context.data[0], {"held": context.held, "max_steps": max_steps, "tolerance": tolerance}
 
-    def begun(candidate: Candidate, white: NoiseModel) -> tuple[Refit, NoiseModel] | None:
-        again = refit(context.simulator, candidate, context.data, white, **options)
+    def begun(candidate: Candidate, white: NoiseModel, most: float) -> tuple[Refit, NoiseModel] | None:
+        # Only what promises more than the refit that it may replace is carried on.
+        again = refit(context.simulator, candidate, context.data, white, abandon=most, **options)
         return None if again is None else (again, noise_model_of(context, again))
 
     for _ in range(TURNS):
@@ -62,7 +65,9 @@ def from_other_values(
         white = white_noise_model(fit.residual[0], data.kept, system)
         others = [Term(term.effect, term.place, values) for values in chosen(fit, white)]
         starts = [candidate.with_terms((*candidate.terms[:-1], other)) for other in others]
-        tried = side_by_side(functools.partial(begun, white=white), starts)
+        layout = Layout(context.simulator.setup, candidate)
+        most = Equations(context.simulator, context.data, white, layout).cost(candidate)
+        tried = side_by_side(functools.partial(begun, white=white, most=most), starts)
         best = min(filter(None, tried), key=lambda one: one[1].cost, default=(fit, noise_model))
         if not best[1].cost < noise_model.cost - worth:
             break

@@ -13,6 +13,7 @@ from .. import settings
 from ..acceptance import at_its_bound, unsound
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
+from ..estimation.profile_scan import something_left
 from ..estimation.significance import at_bound
 from ..findings import Move, Reason, Refusal, Rejected
 from ..model.candidate import Candidate, Data
@@ -25,7 +26,13 @@ from ..screening.score_test import Screening
 from ..screening.shortlist import adds_mode, listed_with, shortlist
 from ..starts.equation_error import force_equation_finds, from_forces
 from ..starts.force_matching import force_matched
-from ..starts.lookalikes import contained_laws, refit_look_alikes, untried_look_alikes
+from ..starts.lookalikes import (
+    at_other_places,
+    contained_laws,
+    refit_at_other_places,
+    refit_look_alikes,
+    untried_look_alikes,
+)
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
@@ -279,6 +286,9 @@ def _refitted(context: SearchContext, state: SearchState, screening: Screening, 
         late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
         behind = _given_up(state.rejected[before:], ranked)
         late += force_matched(context, stage, ranked[0], behind, (closer, screening), state.rejected)
+        if something_left(ranked[0].noise_model):
+            elsewhere = at_other_places(ranked[0], screening, closer, tried - behind)
+            late += refit_at_other_places(context, stage, ranked[0], elsewhere)
         ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
     ranked = _narrowed(context, stage, simplified(ranked), screening, closer)
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}

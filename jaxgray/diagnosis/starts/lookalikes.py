@@ -47,6 +47,19 @@ def contained_laws(best: Attempt, screening: Screening, closer: Screening) -> li
     return [scores for scores in listed if scores]
 
 
+def at_other_places(
+    best: Attempt, screening: Screening, closer: Screening, tried: set[tuple[str, str]]
+) -> list[list[Score]]:
+    """The law of the best one at its other places, unless `tried`: where a law has taken much of the motion to itself,
+    scores of first order, which are about the model without it, hardly tell its places apart."""
+    effect, found = best.score.shape.effect, {}
+    for table in (closer, screening):
+        for name, score in table.best_by_place().items():
+            if name[0] == effect.id and name not in tried:
+                found.setdefault(name, [score])
+    return list(found.values())
+
+
 def refit_look_alikes(
     context: SearchContext, stage: Stage, best: Attempt, listed: list[list[Score]], rejected: list[Rejected]
 ) -> list[Attempt]:
@@ -60,40 +73,67 @@ def refit_look_alikes(
     return [end for end in ends if isinstance(end, Attempt)]
 
 
+def refit_at_other_places(
+    context: SearchContext, stage: Stage, best: Attempt, listed: list[list[Score]]
+) -> list[Attempt]:
+    """The law of the best one where its refit ends better at another place, that place carried to its end; none where
+    none does. Arguments as of `refit_look_alikes`."""
+    most, abandon = _reached(context, best)
+    ends = side_by_side(lambda scores: _from_best(context, best, scores, abandon), listed)
+    ends = [end for end in ends if end is not None and criterion_of(context, *end) < most]
+    if not ends:
+        return []
+    return [_at_end(context, stage, *min(ends, key=lambda end: criterion_of(context, *end)))]
+
+
 def _refit_look_alike(context: SearchContext, stage: Stage, best: Attempt, scores: list[Score]) -> Attempt | Rejected:
-    """The refit of a law from where the best one's refit ended, or why there is none: parameters of the same name begin
-    with the same values; under the name that its contact gives it."""
+    """The refit of a law from where the best one's refit ended, or why there is none; under the name that its contact
+    gives it."""
     name = scores[0].shape.effect.id, scores[0].shape.place.name
     context.progress.stage(f"refitting {name[0]} at {name[1]}")
-    noise_model, fit = best.noise_model, best.fit
-    last = fit.candidate.terms[-1]
+    most, _ = _reached(context, best)
+    found = _from_best(context, best, scores)
+    if found is None:
+        return Rejected.of(name, scores[0].delta_bic, NOT_SIMULATED)
+    behind = criterion_of(context, *found) - most
+    if behind > settings.MAX_CRITERION_GAP:
+        return Rejected.of(name, scores[0].delta_bic, dominated(behind))
+    return _at_end(context, stage, *found)
+
+
+def _reached(context: SearchContext, best: Attempt) -> tuple[float, float]:
+    """Criterion and cost of the best one, with the samples counted that others are compared with it under."""
+    options = {"held": context.held, "max_steps": 3, "tolerance": ROUGH}
+    again = refit(context.simulator, best.fit.candidate, context.data, best.noise_model, **options)
+    fit = best.fit if again is None else again
+    return criterion_of(context, best.score, fit), fit.cost
+
+
+def _from_best(
+    context: SearchContext, best: Attempt, scores: list[Score], abandon: float = np.inf
+) -> tuple[Score, Refit] | None:
+    """A first refit from where the best one's ended: parameters of the same name begin with the same values, and with
+    those of each score's own shape."""
+    last, found = best.fit.candidate.terms[-1], None
     known = dict(zip((p.name for p in last.effect.parameters), last.values))
-    # Under the noise model, and with the samples counted, that the other is compared under.
-    again = refit(
-        context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=3, tolerance=ROUGH
-    )
-    most = criterion_of(context, best.score, fit if again is None else again) + settings.MAX_CRITERION_GAP
-    found: tuple[Score, Refit] | None = None
+    options = {"held": context.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
     for score in scores:
         shape = score.shape.term(score.weights)
         alike = np.array([known.get(p.name, value) for p, value in zip(shape.effect.parameters, shape.values)], float)
         for values in (alike, np.array(shape.values, float)):
             term = Term(shape.effect, shape.place, shape.effect.bounded(values))
-            begin = fit.candidate.with_terms((*fit.candidate.terms[:-1], term))
-            trial = refit(
-                context.simulator, begin, context.data, noise_model, held=context.held, max_steps=10, tolerance=ROUGH
-            )
+            begin = best.fit.candidate.with_terms((*best.fit.candidate.terms[:-1], term))
+            trial = refit(context.simulator, begin, context.data, best.noise_model, **options)
             if trial is not None and (
                 found is None or criterion_of(context, score, trial) < criterion_of(context, *found)
             ):
                 found = score, trial
             if np.array_equal(alike, shape.values):
                 break
-    if found is None:
-        return Rejected.of(name, scores[0].delta_bic, NOT_SIMULATED)
-    behind = criterion_of(context, *found) - most + settings.MAX_CRITERION_GAP
-    if behind > settings.MAX_CRITERION_GAP:
-        return Rejected.of(name, scores[0].delta_bic, dominated(behind))
-    context.progress.stage(f"pursuing {name[0]} at {name[1]}")
-    end = refit_to_convergence(context, found[1])
-    return by_contact(context, Attempt(found[0], end, noise_model_of(context, end)), stage)
+    return found
+
+
+def _at_end(context: SearchContext, stage: Stage, score: Score, fit: Refit) -> Attempt:
+    context.progress.stage(f"pursuing {score.shape.effect.id} at {score.shape.place.name}")
+    end = refit_to_convergence(context, fit)
+    return by_contact(context, Attempt(score, end, noise_model_of(context, end)), stage)
