@@ -53,3 +53,16 @@ def test_later_candidates_on_the_same_data_must_be_surer():
     assert np.all(np.diff([np.mean(bounds[trials]) for trials in (1, 5, 20)]) < 0)
     # One in a hundred of the first, a twentieth of that of the twentieth: of sixty, next to none.
     assert sum(bound > 0 for bound in bounds[1]) <= 4 and not any(bound > 0 for bound in bounds[20])
+
+
+def test_what_no_other_record_has_is_judged_by_its_own_pieces():
+    rng = np.random.default_rng(3)
+    kept = np.ones((SAMPLES, 1), bool)
+    # Nearly all of the error is made in the last tenth: what other records would gain, hardly anybody can say.
+    size = np.where(np.arange(SAMPLES) > 0.9 * SAMPLES, 20.0, 0.11)[:, None]
+    noise = rng.standard_normal((SAMPLES, 1))
+    before, after = ([FreeRun(e, e, kept)] for e in (size * noise, 0.1 * noise))
+    others = gain_of(before, after, before, FLOOR, NAMES, held_out=False, rng=rng)
+    here = gain_of(before, after, before, FLOOR, NAMES, held_out=False, rng=rng, of_this_record=True)
+    assert here.percent == others.percent > 98
+    assert others.ci95[0] < 0 < here.ci99_lower < here.ci95[0] < here.percent < here.ci95[1]

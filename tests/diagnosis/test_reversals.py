@@ -13,8 +13,10 @@ from jaxgray.diagnosis import settings
 from jaxgray.diagnosis.estimation.continuation import ROUGH
 from jaxgray.diagnosis.estimation.gauss_newton import refit
 from jaxgray.diagnosis.estimation.measured_motion import KnownForce, along_measured_motion
+from jaxgray.diagnosis.estimation.normal_equations import Equations
 from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
+from jaxgray.diagnosis.model.parameter_vector import Layout
 from jaxgray.diagnosis.model.reversals import undecided
 from jaxgray.diagnosis.model.simulator import Simulator
 from jaxgray.diagnosis.noise.whitening import white_noise_model
@@ -105,3 +107,28 @@ def test_friction_that_had_passed_for_damping_is_reached_along_the_measured_moti
     assert abs(begun.terms[-1].parameter("Fc") / 160.0 - 1) < 0.02
     D = np.asarray(simulator.plant(begun).damping)
     assert np.linalg.norm(D - frame.damping) < 0.1 * np.linalg.norm(frame.damping)
+
+
+def test_a_body_that_dry_friction_holds_is_begun_from_rest(rubbing):
+    frame, record, _ = rubbing
+    simulator, start = linear(frame, record)
+    data = Data.of(record)
+    law = (Term(by_id("coulomb_friction"), PLACE, np.array([160.0, 1e-4])),)
+    true, moving = start.with_terms(law), np.array([1e-3, -5e-4, 4e-3, 6e-3])
+    astray = dataclasses.replace(true, x0=(moving,))
+    e = np.where(data.kept, data.y - simulator.run(true, data), 0.0)
+    white = white_noise_model(e, data.kept, stage_of(simulator, start, data).system)
+    equations = Equations(simulator, [data], white, Layout(simulator.setup, true))
+    assert not np.any(equations.moved_or_at_rest(astray).x0[0])
+    # Without friction the slopes lead to the first state, from wherever it begins.
+    assert equations.moved_or_at_rest(astray.with_terms(())) == astray.with_terms(())
+
+
+def test_a_held_body_creeps_the_less_the_shorter_the_steps():
+    model = jaxgray.MechanicalModel(
+        [[1.0]], [[0.5]], [[40.0]], effects=(Term(by_id("coulomb_friction"), Place("y1", 0), np.array([1.0, 0.01])),)
+    )
+    u = np.full((200, 1), 0.9)
+    # Nine tenths of what friction holds, for two seconds.
+    gone = [abs(float(model.simulate(u, 0.01, substeps=n)[-1, 0])) for n in (4, 16, 64)]
+    assert gone[0] > 2 * gone[1] > 4 * gone[2] > 0
