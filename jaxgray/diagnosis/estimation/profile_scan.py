@@ -4,7 +4,6 @@ Where its shape has little slope between one value and the next, a refit ends wh
 many values are scored by least squares, and the best are refitted.
 """
 
-import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -23,6 +22,12 @@ from ..screening.spectral_lines import lines_of
 from .context import SearchContext, noise_model_of
 from .gauss_newton import Refit, refit
 from .normal_equations import Equations
+
+FIRST_STEPS = 3
+"""Of every refit from other values, after which the best few are carried on."""
+
+CARRIED_ON = 4
+"""Refits from other values that are carried to their end."""
 
 TURNS = 3
 """Times that values are chosen, every time with M, D, K of the refit before, as long as that pays."""
@@ -54,10 +59,13 @@ def from_other_values(
     noise_model = noise_model_of(context, fit)
     data, options = context.data[0], {"held": context.held, "max_steps": max_steps, "tolerance": tolerance}
 
-    def begun(candidate: Candidate, white: NoiseModel, most: float) -> tuple[Refit, NoiseModel] | None:
-        # Only what promises more than the refit that it may replace is carried on.
-        again = refit(context.simulator, candidate, context.data, white, abandon=most, **options)
-        return None if again is None else (again, noise_model_of(context, again))
+    def ends(starts: list[Candidate], white: NoiseModel, most: float, **more) -> list[tuple[Refit, NoiseModel]]:
+        def begun(candidate):
+            # Only what promises more than the refit that it may replace is carried on.
+            again = refit(context.simulator, candidate, context.data, white, abandon=most, **options | more)
+            return None if again is None else (again, noise_model_of(context, again))
+
+        return sorted(filter(None, side_by_side(begun, starts)), key=lambda end: end[1].cost)
 
     for _ in range(TURNS):
         candidate, term = fit.candidate, fit.candidate.terms[-1]
@@ -67,8 +75,10 @@ def from_other_values(
         starts = [candidate.with_terms((*candidate.terms[:-1], other)) for other in others]
         layout = Layout(context.simulator.setup, candidate)
         most = Equations(context.simulator, context.data, white, layout).cost(candidate)
-        tried = side_by_side(functools.partial(begun, white=white, most=most), starts)
-        best = min(filter(None, tried), key=lambda one: one[1].cost, default=(fit, noise_model))
+        if len(starts) > CARRIED_ON:
+            first = ends(starts, white, most, max_steps=FIRST_STEPS)
+            starts = [end.candidate for end, _ in first[:CARRIED_ON]]
+        best = next(iter(ends(starts, white, most)), (fit, noise_model))
         if not best[1].cost < noise_model.cost - worth:
             break
         fit, noise_model = best
