@@ -8,39 +8,35 @@ import numpy as np
 from ...mechanics.effects.base import AbstractEffect
 from ...numerics.progress import BudgetSpent
 from ...numerics.runtime import relieve
-from ...numerics.side_by_side import side_by_side
 from .. import settings
 from ..acceptance import at_its_bound, unsound
-from ..estimation.context import SearchContext, noise_model_of
-from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
-from ..estimation.profile_scan import something_left
+from ..estimation.context import SearchContext
+from ..estimation.multistart import Attempt, compared, unresolved
 from ..estimation.significance import at_bound
 from ..findings import Move, Reason, Refusal, Rejected
 from ..model.candidate import Candidate, Data
 from ..model.free_run import overall, rms_of
 from ..model.held_out_gain import gain_of
-from ..noise.whitening import estimate_noise_model, white_noise_model
 from ..screening.flexible_force import FlexibleForce
-from ..screening.linearization import Stage, screen_simulated, screen_smoothed
-from ..screening.score_test import Screening
-from ..screening.shortlist import adds_mode, listed_with, shortlist
+from ..screening.linearization import screen_simulated
 from ..starts.equation_error import force_equation_finds, from_forces
-from ..starts.force_matching import force_matched
-from ..starts.lookalikes import (
-    at_other_places,
-    contained_laws,
-    refit_at_other_places,
-    refit_look_alikes,
-    untried_look_alikes,
-)
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
 from .backward import prune
-from .confusable import alike, look_alikes, needless, simplified
+from .confusable import alike, needless
 from .final_swap import swap_rivals
+from .proposals import (
+    behind_the_noise,
+    closer_screening,
+    given_up,
+    refitted,
+    strong,
+    under_white_noise,
+    without_failed,
+)
 from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
-from .state import Accepted, SearchState, held_out_run, is_local, runs_seen, stage_of_candidate
+from .state import Accepted, SearchState, held_out_run, runs_seen, stage_of_candidate
 
 
 def select_forward(
@@ -99,11 +95,11 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         first = from_forces(context, state.stage, screening) if left > 0 else []
         return 1 if _accepted(context, state, first, Move.FORCE_EQUATION) else None
     closer = None
-    if not screening.fires and not _strong(screening):
-        closer = _behind_the_noise(context, state.stage, screening)
+    if not screening.fires and not strong(screening):
+        closer = behind_the_noise(context, state.stage, screening)
         if closer is None and wrong_entries(context, state.stage, screening, least=settings.CLEAR_DELTA_BIC):
             # A run that is out of step shows no entry to first order, and all it leaves passes for noise at the forces.
-            closer = _closer(context, state.stage, screening)
+            closer = closer_screening(context, state.stage, screening)
         if closer is None:
             found = left > 0 and (
                 _accepted(context, state, hidden_modes(context, state.stage, screening), Move.HIDDEN_MODE)
@@ -114,27 +110,27 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         return None
     # Until they are taken or refuted, there are candidates.
     state.unexplained = True
-    closer = _closer(context, state.stage, screening) if closer is None else closer
+    closer = closer_screening(context, state.stage, screening) if closer is None else closer
     before = len(state.rejected)
-    ranked = _refitted(context, state, screening, closer)
+    ranked = refitted(context, state, screening, closer)
     if _accepted(context, state, ranked):
         return 1
     if state.ruled_out != told_from:
         return 0
-    if _given_up(state.rejected[before:], ranked):
+    if given_up(state.rejected[before:], ranked):
         # Far behind laws that do not hold, and looked for under what these leave.
-        others = _without(context, state, searched, screening, ranked)
-        second = [] if others is None else _refitted(context, state, *others)
+        others = without_failed(context, state, searched, screening, ranked)
+        second = [] if others is None else refitted(context, state, *others)
         if _accepted(context, state, second, Move.SECOND_SCREENING):
             return 1
         ranked = compared(context, state.stage, ranked + second) if second else ranked
-    refitted = frozenset(attempt.name for attempt in ranked)
-    if _accepted(context, state, hidden_modes(context, state.stage, screening, refitted), Move.HIDDEN_MODE):
+    tried = frozenset(attempt.name for attempt in ranked)
+    if _accepted(context, state, hidden_modes(context, state.stage, screening, tried), Move.HIDDEN_MODE):
         return 1
     white = dataclasses.replace(context, white=True)
     least = 100 * settings.MIN_EXPLAINED_SHARE if _moves(context) else settings.MIN_GAIN_WHERE_LITTLE_MOVES
     if _largest_gain(context, state, ranked) >= least:
-        free = _under_white_noise(white, state, screening, closer, ranked)
+        free = under_white_noise(white, state, screening, closer, ranked)
         if _accepted(white, state, free, Move.WHITE_NOISE, least=least, most=1):
             return 1
     if _accepted(context, state, _unsure(state, ranked, before), Move.KNOWN_SHAPE, given_shape=True):
@@ -143,47 +139,6 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     state.unexplained = screening.fires and not refuted
     # What is lent its place needs another round to redeem it.
     return 1 if not refuted and left > 1 and _provisional(context, state, ranked) else None
-
-
-def _closer(context: SearchContext, stage: Stage, screening: Screening) -> Screening:
-    """The ranking under the noise model of the gate, or under its own where that shows nothing."""
-    closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names, screening.noise_model)
-    return closer if closer.shows else screen_smoothed(stage, context.data[0], context.catalogue, context.names)
-
-
-def _under_white_noise(
-    context: SearchContext, state: SearchState, screening: Screening, closer: Screening, ranked: list[Attempt]
-) -> list[Attempt]:
-    """Candidates refitted under white noise, best first, none without other data to judge them by; begun as any, and
-    where they ended under the noise that was estimated (`ranked`).
-
-    Where a second effect is missing, the noise model that is estimated passes most of the residual for coloured noise,
-    and its criterion then asks what the noise is like and not what brings the free run nearer.
-    """
-    stage, data = state.stage, context.data[0]
-    if not context.validation or state.provisional is not None:
-        return []
-    noise_model = white_noise_model(stage.e, data.kept, stage.system)
-    screening, closer = (dataclasses.replace(s, scores=s.white, noise_model=noise_model) for s in (screening, closer))
-
-    def again(attempt: Attempt) -> Attempt:
-        context.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
-        return dataclasses.replace(refit_for_free_run(context, state, attempt), noise_model=noise_model)
-
-    best = _better_ones(
-        compared(context, stage, _refitted(context, state, screening, closer) + side_by_side(again, ranked))
-    )
-    # A mode rings as coloured noise does.
-    lasting = [a for a in best if not is_local(context, a.score.shape.effect) and not adds_mode(a.score.shape.effect)]
-    # What coloured noise explains as well is no law: each model with the noise that it is estimated to leave.
-    own = dataclasses.replace(context, white=False)
-    coloured = estimate_noise_model(stage.e, data.kept, stage.system, stage.force).cost
-
-    def evident(attempt: Attempt) -> bool:
-        return coloured - noise_model_of(own, attempt.fit).cost - attempt.penalty >= settings.MIN_DELTA_BIC
-
-    clear = (a for a in lasting if a.delta_bic > settings.CLEAR_DELTA_BIC and unresolved(a.fit, a.score) is None)
-    return [attempt for attempt in clear if evident(attempt)]
 
 
 def _largest_gain(context: SearchContext, state: SearchState, ranked: list[Attempt]) -> float:
@@ -203,40 +158,6 @@ def _moves(context: SearchContext) -> bool:
 
     least = settings.MIN_RELATIVE_MOTION * size(context.data[0])
     return any(np.all(size(held) >= least) for held in context.validation)
-
-
-def _without(
-    context: SearchContext, state: SearchState, searched, screening: Screening, ranked: list[Attempt]
-) -> tuple[Screening, Screening] | None:
-    """The gate and the ranking without laws that were refitted and do not hold; None where nothing else is seen."""
-    failed = {attempt.name[0] for attempt in ranked}
-    shapes = (score.shape for score in screening.scores)
-    gone = frozenset((s.effect.id, s.place.name) for s in shapes if s.effect.id in failed)
-    stage = dataclasses.replace(state.stage, ruled_out=state.ruled_out | gone)
-    screening = screen_simulated(stage, context.data[0], searched, context.names, rng=context.rng)
-    return (screening, _closer(context, stage, screening)) if screening.fires else None
-
-
-def _strong(screening: Screening) -> bool:
-    """Whether some candidate takes most of what is left, though the noise model could pass it off as noise at the
-    forces."""
-    best = screening.white[0] if screening.white else None
-    if best is None or best.delta_bic < settings.CLEAR_DELTA_BIC:
-        return False
-    return 1 - np.exp(-best.ratio / screening.rows) > settings.LARGE_RESIDUAL_SHARE
-
-
-def _behind_the_noise(context: SearchContext, stage: Stage, screening: Screening) -> Screening | None:
-    """The ranking by measured motion where the gate is silent only because noise at the forces takes all; None where
-    that shows nothing either.
-
-    At large amplitudes the simulated motion is too far off for its features to count, and the noise model then swallows
-    the effect. What is found so must still hold on data that the fit has not seen.
-    """
-    if screening.noise_model.ratio == 0.0:
-        return None
-    closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names)
-    return closer if closer.scores and closer.scores[0].delta_bic > settings.DELTA_BIC_BEHIND_NOISE else None
 
 
 def _refuted(
@@ -262,52 +183,6 @@ def _refuted(
         return False
     state.screening = again
     return True
-
-
-def _given_up(rejected: list[Rejected], ranked: list[Attempt]) -> set[tuple[str, str]]:
-    """Laws that were not carried to their end, being far behind another."""
-    behind = {(one.effect, one.location) for one in rejected if one.reason is Reason.DOMINATED}
-    return behind - {attempt.name for attempt in ranked}
-
-
-def _refitted(context: SearchContext, state: SearchState, screening: Screening, closer: Screening) -> list[Attempt]:
-    """The most promising candidates and what is easily taken for the best of them, refitted, best first."""
-    stage, before = state.stage, len(state.rejected)
-    noise_model = closer.noise_model if closer.shows else white_noise_model(stage.e, context.data[0].kept, stage.system)
-    listed = listed_with(shortlist(screening, closer), wrong_entries(context, stage, screening))
-    attempts = attempts_of(context, stage, listed, noise_model, state.rejected)
-    ranked = compared(context, stage, list(attempts.values()))
-    if forced := from_forces(context, stage, screening):
-        ranked = _better_ones(compared(context, stage, ranked + forced))
-    if ranked:
-        tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}
-        ids = look_alikes(ranked[0].score.shape.effect, context.catalogue) - {effect for effect, _ in tried}
-        others = untried_look_alikes(ids, screening, closer, tried)
-        late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
-        behind = _given_up(state.rejected[before:], ranked)
-        late += force_matched(context, stage, ranked[0], behind, (closer, screening), state.rejected)
-        if something_left(ranked[0].noise_model):
-            elsewhere = at_other_places(ranked[0], screening, closer, tried - behind)
-            late += refit_at_other_places(context, stage, ranked[0], elsewhere)
-        ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
-    ranked = _narrowed(context, stage, simplified(ranked), screening, closer)
-    state.tried |= {attempt.name: attempt.fit for attempt in ranked}
-    return ranked
-
-
-def _narrowed(
-    context: SearchContext, stage: Stage, ranked: list[Attempt], screening: Screening, closer: Screening
-) -> list[Attempt]:
-    """The ranking, the laws that the best one contains refitted from its end as well: its advantage over them
-    may be only a better optimum."""
-    inside = contained_laws(ranked[0], screening, closer) if ranked else []
-    again = refit_look_alikes(context, stage, ranked[0], inside, []) if inside else []
-    return simplified(_better_ones(compared(context, stage, ranked + again))) if again else ranked
-
-
-def _better_ones(ranked: list[Attempt]) -> list[Attempt]:
-    """Of several refits of one law the best, in the order they come in."""
-    return [a for k, a in enumerate(ranked) if a.name not in {better.name for better in ranked[:k]}]
 
 
 def _unsure(state: SearchState, ranked: list[Attempt], since: int) -> list[Attempt]:

@@ -1,0 +1,150 @@
+"""What a round of the search refits: rankings under several noise models, and their candidates, best first."""
+
+import dataclasses
+
+import numpy as np
+
+from ...numerics.side_by_side import side_by_side
+from .. import settings
+from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
+from ..estimation.profile_scan import something_left
+from ..findings import Reason, Rejected
+from ..noise.whitening import estimate_noise_model, white_noise_model
+from ..screening.linearization import Stage, screen_simulated, screen_smoothed
+from ..screening.score_test import Screening
+from ..screening.shortlist import adds_mode, listed_with, shortlist
+from ..starts.equation_error import from_forces
+from ..starts.force_matching import force_matched
+from ..starts.lookalikes import (
+    at_other_places,
+    contained_laws,
+    refit_at_other_places,
+    refit_look_alikes,
+    untried_look_alikes,
+)
+from ..starts.user_model import wrong_entries
+from .confusable import look_alikes, simplified
+from .provisional import refit_for_free_run
+from .state import SearchState, is_local
+
+
+def refitted(context: SearchContext, state: SearchState, screening: Screening, closer: Screening) -> list[Attempt]:
+    """The most promising candidates and what is easily taken for the best of them, refitted, best first."""
+    stage, before = state.stage, len(state.rejected)
+    noise_model = closer.noise_model if closer.shows else white_noise_model(stage.e, context.data[0].kept, stage.system)
+    listed = listed_with(shortlist(screening, closer), wrong_entries(context, stage, screening))
+    attempts = attempts_of(context, stage, listed, noise_model, state.rejected)
+    ranked = compared(context, stage, list(attempts.values()))
+    if forced := from_forces(context, stage, screening):
+        ranked = _better_ones(compared(context, stage, ranked + forced))
+    if ranked:
+        tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}
+        ids = look_alikes(ranked[0].score.shape.effect, context.catalogue) - {effect for effect, _ in tried}
+        others = untried_look_alikes(ids, screening, closer, tried)
+        late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
+        behind = given_up(state.rejected[before:], ranked)
+        late += force_matched(context, stage, ranked[0], behind, (closer, screening), state.rejected)
+        if something_left(ranked[0].noise_model):
+            elsewhere = at_other_places(ranked[0], screening, closer, tried - behind)
+            late += refit_at_other_places(context, stage, ranked[0], elsewhere)
+        ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
+    ranked = _narrowed(context, stage, simplified(ranked), screening, closer)
+    state.tried |= {attempt.name: attempt.fit for attempt in ranked}
+    return ranked
+
+
+def _narrowed(
+    context: SearchContext, stage: Stage, ranked: list[Attempt], screening: Screening, closer: Screening
+) -> list[Attempt]:
+    """The ranking, the laws that the best one contains refitted from its end as well: its advantage over them
+    may be only a better optimum."""
+    inside = contained_laws(ranked[0], screening, closer) if ranked else []
+    again = refit_look_alikes(context, stage, ranked[0], inside, []) if inside else []
+    return simplified(_better_ones(compared(context, stage, ranked + again))) if again else ranked
+
+
+def _better_ones(ranked: list[Attempt]) -> list[Attempt]:
+    """Of several refits of one law the best, in the order they come in."""
+    return [a for k, a in enumerate(ranked) if a.name not in {better.name for better in ranked[:k]}]
+
+
+def given_up(rejected: list[Rejected], ranked: list[Attempt]) -> set[tuple[str, str]]:
+    """Laws that were not carried to their end, being far behind another."""
+    behind = {(one.effect, one.location) for one in rejected if one.reason is Reason.DOMINATED}
+    return behind - {attempt.name for attempt in ranked}
+
+
+def closer_screening(context: SearchContext, stage: Stage, screening: Screening) -> Screening:
+    """The ranking under the noise model of the gate, or under its own where that shows nothing."""
+    closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names, screening.noise_model)
+    return closer if closer.shows else screen_smoothed(stage, context.data[0], context.catalogue, context.names)
+
+
+def behind_the_noise(context: SearchContext, stage: Stage, screening: Screening) -> Screening | None:
+    """The ranking by measured motion where the gate is silent only because noise at the forces takes all; None where
+    that shows nothing either.
+
+    At large amplitudes the simulated motion is too far off for its features to count, and the noise model then swallows
+    the effect. What is found so must still hold on data that the fit has not seen.
+    """
+    if screening.noise_model.ratio == 0.0:
+        return None
+    closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names)
+    return closer if closer.scores and closer.scores[0].delta_bic > settings.DELTA_BIC_BEHIND_NOISE else None
+
+
+def strong(screening: Screening) -> bool:
+    """Whether some candidate takes most of what is left, though the noise model could pass it off as noise at the
+    forces."""
+    best = screening.white[0] if screening.white else None
+    if best is None or best.delta_bic < settings.CLEAR_DELTA_BIC:
+        return False
+    return 1 - np.exp(-best.ratio / screening.rows) > settings.LARGE_RESIDUAL_SHARE
+
+
+def without_failed(
+    context: SearchContext, state: SearchState, searched, screening: Screening, ranked: list[Attempt]
+) -> tuple[Screening, Screening] | None:
+    """The gate and the ranking without laws that were refitted and do not hold; None where nothing else is seen."""
+    failed = {attempt.name[0] for attempt in ranked}
+    shapes = (score.shape for score in screening.scores)
+    gone = frozenset((s.effect.id, s.place.name) for s in shapes if s.effect.id in failed)
+    stage = dataclasses.replace(state.stage, ruled_out=state.ruled_out | gone)
+    screening = screen_simulated(stage, context.data[0], searched, context.names, rng=context.rng)
+    return (screening, closer_screening(context, stage, screening)) if screening.fires else None
+
+
+def under_white_noise(
+    context: SearchContext, state: SearchState, screening: Screening, closer: Screening, ranked: list[Attempt]
+) -> list[Attempt]:
+    """Candidates refitted under white noise, best first, none without other data to judge them by; begun as any, and
+    where they ended under the noise that was estimated (`ranked`).
+
+    Where a second effect is missing, the noise model that is estimated passes most of the residual for coloured noise,
+    and its criterion then asks what the noise is like and not what brings the free run nearer.
+    """
+    stage, data = state.stage, context.data[0]
+    if not context.validation or state.provisional is not None:
+        return []
+    noise_model = white_noise_model(stage.e, data.kept, stage.system)
+    screening, closer = (dataclasses.replace(s, scores=s.white, noise_model=noise_model) for s in (screening, closer))
+
+    def again(attempt: Attempt) -> Attempt:
+        context.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
+        return dataclasses.replace(refit_for_free_run(context, state, attempt), noise_model=noise_model)
+
+    best = _better_ones(
+        compared(context, stage, refitted(context, state, screening, closer) + side_by_side(again, ranked))
+    )
+    # A mode rings as coloured noise does.
+    lasting = [a for a in best if not is_local(context, a.score.shape.effect) and not adds_mode(a.score.shape.effect)]
+    # What coloured noise explains as well is no law: each model with the noise that it is estimated to leave.
+    own = dataclasses.replace(context, white=False)
+    coloured = estimate_noise_model(stage.e, data.kept, stage.system, stage.force).cost
+
+    def evident(attempt: Attempt) -> bool:
+        return coloured - noise_model_of(own, attempt.fit).cost - attempt.penalty >= settings.MIN_DELTA_BIC
+
+    clear = (a for a in lasting if a.delta_bic > settings.CLEAR_DELTA_BIC and unresolved(a.fit, a.score) is None)
+    return [attempt for attempt in clear if evident(attempt)]
