@@ -55,7 +55,7 @@ def test_later_candidates_on_the_same_data_must_be_surer():
     assert sum(bound > 0 for bound in bounds[1]) <= 4 and not any(bound > 0 for bound in bounds[20])
 
 
-def test_what_no_other_record_has_is_judged_by_its_own_pieces():
+def test_what_happened_once_is_judged_by_the_pieces_of_its_record():
     rng = np.random.default_rng(3)
     kept = np.ones((SAMPLES, 1), bool)
     # Nearly all of the error is made in the last tenth: what other records would gain, hardly anybody can say.
@@ -63,6 +63,6 @@ def test_what_no_other_record_has_is_judged_by_its_own_pieces():
     noise = rng.standard_normal((SAMPLES, 1))
     before, after = ([FreeRun(e, e, kept)] for e in (size * noise, 0.1 * noise))
     others = gain_of(before, after, before, FLOOR, NAMES, held_out=False, rng=rng)
-    here = gain_of(before, after, before, FLOOR, NAMES, held_out=False, rng=rng, of_this_record=True)
+    here = gain_of(before, after, before, FLOOR, NAMES, held_out=False, rng=rng, once=True)
     assert here.percent == others.percent > 98
     assert others.ci95[0] < 0 < here.ci99_lower < here.ci95[0] < here.percent < here.ci95[1]

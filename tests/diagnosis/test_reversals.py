@@ -122,13 +122,3 @@ def test_a_body_that_dry_friction_holds_is_begun_from_rest(rubbing):
     assert not np.any(equations.moved_or_at_rest(astray).x0[0])
     # Without friction the slopes lead to the first state, from wherever it begins.
     assert equations.moved_or_at_rest(astray.with_terms(())) == astray.with_terms(())
-
-
-def test_a_held_body_creeps_the_less_the_shorter_the_steps():
-    model = jaxgray.MechanicalModel(
-        [[1.0]], [[0.5]], [[40.0]], effects=(Term(by_id("coulomb_friction"), Place("y1", 0), np.array([1.0, 0.01])),)
-    )
-    u = np.full((200, 1), 0.9)
-    # Nine tenths of what friction holds, for two seconds.
-    gone = [abs(float(model.simulate(u, 0.01, substeps=n)[-1, 0])) for n in (4, 16, 64)]
-    assert gone[0] > 2 * gone[1] > 4 * gone[2] > 0

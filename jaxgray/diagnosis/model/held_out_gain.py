@@ -38,15 +38,15 @@ def gain_of(
     rng: np.random.Generator,
     seen: tuple[list[FreeRun], list[FreeRun], list[FreeRun]] | None = None,
     trials: int = 1,
-    of_this_record: bool = False,
+    once: bool = False,
 ) -> Gain:
     """Gain from one model to the next, with its intervals.
 
     **Arguments:** `before`, `after`, `baseline`: free runs on the same records; `floor`: noise floor per output;
     `names` of outputs; `held_out`; `rng`; `seen`: the same three on the data of the fit, for gains on
     held-out data; `trials`: candidates judged on these data so far, this one included: the k-th must be sure with a
-    k-th part of the risk of the first; `of_this_record`: of what no other record has, so that the interval is that of
-    the bootstrap.
+    k-th part of the risk of the first; `once`: of what happened once and is not in every part of the record, so that
+    the interval is that of the bootstrap.
 
     **Returns:** a `Gain`.
 
@@ -62,7 +62,7 @@ def gain_of(
     if held_out and seen is not None:
         fitted = _Pieces(seen, floor, 1)
         between = abs(float(fitted.left(np.arange(len(fitted))) - short.left(everything)))
-    interval = tuple(np.quantile(draws, INTERVAL).tolist()) if of_this_record else _interval(runs, floor, between)
+    interval = tuple(np.quantile(draws, INTERVAL).tolist()) if once else _interval(runs, floor, between)
     return Gain(pairs, percent, interval, float(np.quantile(draws, settings.HELD_OUT_RISK / trials)), held_out)
 
 

@@ -84,10 +84,10 @@ def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: 
         return why, None, None
     names = context.names[1]
     seen = runs_seen(context, here.e, attempt.fit.residual[0], state.start.e)
-    local = is_local(context, attempt.score.shape.effect)
-    if local or not context.validation:
+    if is_local(context, attempt.score.shape.effect) or not context.validation:
         runs = state.runs
-        options = {"held_out": False, "rng": context.rng, "of_this_record": local}
+        # What happened once need not show in every part of the record.
+        options = {"held_out": False, "rng": context.rng, "once": bool(attempt.score.shape.effect.onset)}
         gain = gain_of(*seen, floor, names, **options)
         # What was fitted to these data always gains a little. Beside what it mends itself: how far the error varied
         # that earlier findings took away is nothing to it.

@@ -12,10 +12,6 @@ SLOWEST = 1e-100
 WIDTH = 0.001
 """Velocity over which the sign turns, as a share of the typical velocity."""
 
-NARROWED = 0.1
-"""Share of the velocity that the force takes back in a step, over which the sign turns at most: a body at rest creeps
-the less, the shorter the steps."""
-
 AT_REST = 4.0
 """Velocity below which a body is at rest, in widths: a step may end a little beyond one."""
 
@@ -30,7 +26,7 @@ def ratio(v, width):
 
 def direction(here, force, eps):
     """Sign of the velocity, turning over ± `eps`: tanh(v/eps); in a simulation the mean over the step of v/eps
-    limited to ±1, and at its beginning that itself, over less in short steps (`NARROWED`).
+    limited to ±1, and at its beginning that itself.
 
     Where a body is at rest at the beginning of a step, and the force can hold it, it is what holds: a/(c·force), a the
     acceleration without it and c the compliance. The velocity there is rounding, and an accelerometer sees the force.
@@ -44,8 +40,6 @@ def direction(here, force, eps):
     """
     if here.yielding is None:
         return jnp.tanh(ratio(here.v, eps))
-    taken = jax.lax.stop_gradient(here.yielding * jnp.maximum(force, 0.0))
-    eps = jnp.minimum(eps, jnp.where(taken > 0, NARROWED * taken, eps))
     if here.behind is None:
         holding = ratio(here.a, here.compliance * jnp.maximum(force, 0.0))
         held = (jnp.abs(here.v) < AT_REST * eps) & (jnp.abs(holding) < 1.0)
