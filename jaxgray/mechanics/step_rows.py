@@ -38,8 +38,7 @@ class StepRows(eqx.Module):
 
     `states`: by the state; `steady`, `rising`: by an input held, and by its rise over the step; `halfway`, `ending`:
     motion in the middle and at the end by forces held from the beginning; `whole`: new state by such forces;
-    `compliance`: acceleration along each arm by a unit force there; `yielding`: velocity that a unit force takes back
-    within the step.
+    `compliance`: acceleration along every arm by a unit force along every arm.
     """
 
     states: Float[Array, "rows states"]
@@ -48,8 +47,7 @@ class StepRows(eqx.Module):
     halfway: Float[Array, "motions slots"]
     ending: Float[Array, "motions slots"]
     whole: Float[Array, "states slots"]
-    compliance: Float[Array, " slots"]
-    yielding: Float[Array, " slots"]
+    compliance: Float[Array, "slots slots"]
 
     @classmethod
     def of(cls, plant: Plant, arms: Float[Array, "slots dofs"], h) -> "StepRows":
@@ -66,17 +64,21 @@ class StepRows(eqx.Module):
         held, half = B0 + B1, H0 + H1
         late, late_half = B1[:, :inputs], H1[:, :inputs] / 2
         whole = held[:, inputs:]
-        ending = C @ whole
         return cls(
             states=jnp.concatenate([C, C @ Ah, C @ Ad, Ad]),
             steady=jnp.concatenate([D, C @ half[:, :inputs] + D, C @ held[:, :inputs] + D, held[:, :inputs]]),
             rising=jnp.concatenate([jnp.zeros_like(D), C @ late_half + D / 2, C @ late + D, late]),
             halfway=C @ half[:, inputs:],
-            ending=ending,
+            ending=C @ whole,
             whole=whole,
-            compliance=jnp.einsum("si,is->s", arms, moved),
-            yielding=-jnp.diag(ending[slots : 2 * slots]),
+            compliance=arms @ moved,
         )
+
+    @property
+    def yielding(self) -> Float[Array, "slots slots"]:
+        """Velocity along every arm that a unit force along every arm takes back within the step."""
+        slots = self.ending.shape[1]
+        return -self.ending[slots : 2 * slots]
 
     def split(self, row):
         """Motion at the beginning, in the middle, at the end, each quantities × slots, and the new state; samples last

@@ -7,6 +7,7 @@ second order in the forces, with states of hysteresis advanced by exact steps of
 **Reference:** Hochbruck & Ostermann, *Exponential integrators* (Acta Numerica, 2010), §2.3.
 """
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -14,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .dry_friction import Rubbing
 from .effects.base import AbstractForceEffect, Local
 from .step_rows import Plant, StepRows
 
@@ -108,33 +110,38 @@ class Sampler(eqx.Module):
         h, fraction = self.sampling_time * share, j * share
         begin, middle, final, after = rows.split(_product(rows.states, x) + base + fraction * slope)
 
-        def local(s, motion, at, **within):
+        def local(s, motion, at):
             u = channels + (fraction + at * share) * change
             now = t + (fraction + at * share) * self.sampling_time
-            here = (*motion[:, s], rows.compliance[s], u[s], now, u[-1])
-            own = {name: jnp.broadcast_to(X, x.shape[1:]) for name, X in within.items()}
-            return Local(*(jnp.broadcast_to(X, x.shape[1:]) for X in here), **own)
+            here = (*motion[:, s], rows.compliance[s, s], u[s], now, u[-1])
+            return Local(*(jnp.broadcast_to(X, x.shape[1:]) for X in here))
 
-        here = [local(s, begin, 0.0, yielding=rows.yielding[s]) for s in range(count)]
-        f0 = self._forces(here, z)
+        here = [local(s, begin, 0.0) for s in range(count)]
+        smooth, rubbing = self._forces(here, z)
+        f0 = smooth if rubbing is None else smooth + rubbing.at_an_instant(begin[1], begin[2], rows.compliance)
         middle = middle + _by(rows.halfway, f0)
-        free = final[1] + _by(rows.ending, f0)[1] + _widened(rows.yielding, f0) * f0
-        there = [
-            local(s, middle, 0.5, behind=begin[1, s], ahead=free[s], yielding=rows.yielding[s]) for s in range(count)
-        ]
-        f1 = self._forces(there, self._advanced(z, here, there, h / 2))
+        there = [local(s, middle, 0.5) for s in range(count)]
+        f1, rubbing = self._forces(there, self._advanced(z, here, there, h / 2))
+        if rubbing is not None:
+            free = final[1] + _by(rows.ending, smooth)[1]
+            f1 = f1 + rubbing.over_a_step(begin[1], free, rows.yielding)
         if self.memory:
             final = final + _by(rows.ending, f1)
             z = self._advanced(z, here, [local(s, final, 1.0) for s in range(count)], h)
         return after + _product(rows.whole, f1), z, jnp.where(j == 0, f0, first)
 
-    def _forces(self, here: list[Local], z):
+    def _forces(self, here: list[Local], z) -> tuple[Array, Rubbing | None]:
+        """Forces without dry friction, and that; None where no law of the table has any."""
         slots = self.slots
 
         def force(law, values, z, here):
             return _each(lambda here, z: _force(self.laws, law, values, here, z), here, z)
 
-        return _slot_by_slot(force, slots.law, slots.values, z, _stacked(here))
+        parts = _slot_by_slot(force, slots.law, slots.values, z, _stacked(here))
+        if not rubbing(self.laws):
+            return parts, None
+        smooth, size, eps = jnp.moveaxis(parts, 1, 0)
+        return smooth, Rubbing.of(size, eps, slots.arms, self.rows.yielding)
 
     def _advanced(self, z, before: list[Local], after: list[Local], time):
         if not self.memory:
@@ -179,10 +186,25 @@ def _product(A, x):
 # Functions of their own, so that the laws are traced once and not at every place of the step that asks for a force.
 @functools.partial(jax.jit, static_argnums=0)
 def _force(laws, number, p, here: Local, z):
+    """Force of one law of a table; where some rub: that without dry friction, its size and the width of its turn."""
+    some_rub = rubbing(laws)
+
     def branch(law):
-        return lambda p, here, z: jnp.asarray(law.force(p[: len(law.parameters)], here, z[: law.states]), dtype=float)
+        def parts(p, here, z):
+            values, own = p[: len(law.parameters)], z[: law.states]
+            if not some_rub:
+                return jnp.asarray(law.force(values, here, own), dtype=float)
+            smooth = law.force(values, dataclasses.replace(here, turn=jnp.zeros_like(here.v)), own)
+            return jnp.stack(jnp.broadcast_arrays(smooth, *law.rubbing(values, here), here.v))[:3]
+
+        return parts
 
     return jax.lax.switch(number, [branch(law) for law in laws], p, here, z)
+
+
+def rubbing(laws: tuple[AbstractForceEffect, ...]) -> bool:
+    """Whether some of the laws have dry friction."""
+    return any(law.jumps for law in laws)
 
 
 @functools.partial(jax.jit, static_argnums=0)

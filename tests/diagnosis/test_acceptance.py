@@ -9,9 +9,10 @@ import pytest
 import jaxgray
 from jaxgray.diagnosis.acceptance import AbstractEvidence, bound_of, negligible, unproven, unsound
 from jaxgray.diagnosis.findings import Gain, Reason
-from jaxgray.diagnosis.search.confusable import look_alikes, resemble
+from jaxgray.diagnosis.search.confusable import look_alikes, needless, resemble
 from jaxgray.diagnosis.search.state import is_local
 from jaxgray.mechanics.effects.base import Place, Term
+from jaxgray.mechanics.effects.friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 from jaxgray.mechanics.effects.stiffness import CubicStiffness, EndStop
 
 
@@ -107,3 +108,33 @@ def test_every_law_names_others_and_parameters_that_exist(effect):
     assert set(effect.onset) <= {p.name for p in effect.parameters} and len(effect.onset) in (0, 2)
     assert not effect.own_phase or effect.tied_to_clock
     assert not effect.resembles or sum(one.resembles == effect.resembles for one in jaxgray.CATALOGUE) > 1
+
+
+def attempt(law, values, errors, criterion):
+    """A refit of one law, its free parameters with some standard errors."""
+    free = sum(p.counts for p in law.parameters)
+    shape = SimpleNamespace(effect=law, place=Place("y1", 0), free=free)
+    candidate = SimpleNamespace(terms=(Term(law, Place("y1", 0), np.array(values)),))
+    fit = SimpleNamespace(candidate=candidate, covariance=np.diag(np.square([1.0, 1.0, *errors])))
+    return SimpleNamespace(
+        score=SimpleNamespace(shape=shape), fit=fit, criterion=criterion, penalty=9.0 * free, name=(law.id, "y1")
+    )
+
+
+@pytest.mark.parametrize(
+    "wide, same",
+    [
+        # More at rest than in motion by hardly more than its error, and hardly ahead.
+        (attempt(StribeckFriction(), [2.0, 2.1, 0.1, 1e-3], [0.05, 0.05, 0.1], 85.0), True),
+        (attempt(StribeckFriction(), [2.0, 2.1, 0.1, 1e-3], [0.001, 0.001, 0.1], 85.0), False),
+        # Ahead by far, whatever the error of one size.
+        (attempt(StribeckFriction(), [2.0, 2.1, 0.1, 1e-3], [0.05, 0.05, 0.1], 40.0), False),
+        (attempt(AsymmetricFriction(), [2.0, 0.1, 1e-3], [0.05, 0.1], 85.0), True),
+        (attempt(AsymmetricFriction(), [2.0, 0.1, 1e-3], [0.05, 0.01], 85.0), False),
+        # What does not pay is needless, however sure it is.
+        (attempt(AsymmetricFriction(), [2.0, 0.1, 1e-3], [0.05, 0.01], 93.0), True),
+    ],
+)
+def test_a_wider_law_that_says_nothing_more_is_needless(wide, same):
+    simple = attempt(CoulombFriction(), [2.0, 1e-3], [0.05], 90.0)
+    assert needless(wide, simple) == same

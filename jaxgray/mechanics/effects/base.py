@@ -43,8 +43,8 @@ class Local(eqx.Module):
     linear model has there; `compliance`: bᵀM⁻¹b, the acceleration a unit force makes there; `u`: the input, for a
     law that acts at an input, otherwise 0; `t` [s] from the start of the record; `p`: scheduling channel, 0 without.
 
-    In a simulation also `yielding`: velocity that a unit force takes back within a step; inside a step `behind`:
-    velocity at its beginning; `ahead`: at its end, without this force. Otherwise these are None.
+    `turn`: which way dry friction acts, from −1 to 1, where the simulation solves it (`mechanics.dry_friction`), None
+    where the velocity says it.
     """
 
     q: Array
@@ -54,9 +54,7 @@ class Local(eqx.Module):
     u: Array
     t: Array
     p: Array
-    behind: Array | None = None
-    ahead: Array | None = None
-    yielding: Array | None = None
+    turn: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -206,6 +204,10 @@ class AbstractForceEffect(AbstractEffect):
     @abc.abstractmethod
     def force(self, p: Float[Array, " parameters"], here: Local, z: Float[Array, " states"]) -> Array:
         """f at one instant; written so that it takes series over time as well (z then has time last)."""
+
+    def rubbing(self, p: Float[Array, " parameters"], here: Local) -> tuple[Array, Array]:
+        """Size of the dry friction in f, and the velocity over which it turns with the motion; 0 and 0 for none."""
+        return 0.0 * here.v, 0.0 * here.v
 
     def advance(
         self, p: Float[Array, " parameters"], z: Float[Array, " states"], before: Local, after: Local, time: Array

@@ -1,6 +1,5 @@
 """Forces against the velocity that a constant damping matrix lacks."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,9 +11,6 @@ SLOWEST = 1e-100
 WIDTH = 0.001
 """Velocity over which the sign turns, as a share of the typical velocity."""
 
-AT_REST = 4.0
-"""Velocity below which a body is at rest, in widths: a step may end a little beyond one."""
-
 _FORCE = Parameter("Fc", (1, 0, 0), lower=0.0, amplitude=True)
 _EPS = Parameter("eps", (0, 1, -1), lower=0.0, counts=False)
 
@@ -24,71 +20,9 @@ def ratio(v, width):
     return jnp.clip(v / jnp.maximum(width, SLOWEST), -40.0, 40.0)
 
 
-def direction(here, force, eps):
-    """Sign of the velocity, turning over ± `eps`: tanh(v/eps); in a simulation the mean over the step of v/eps
-    limited to ±1, and at its beginning that itself.
-
-    Where a body is at rest at the beginning of a step, and the force can hold it, it is what holds: a/(c·force), a the
-    acceleration without it and c the compliance. The velocity there is rounding, and an accelerometer sees the force.
-
-    While the velocity runs in a straight line from v0 to v1 the mean is, G being the integral of the limited sign,
-
-        s = (G(v1) − G(v0))/(v1 − v0),        v1 = free − y·force·s,
-
-    y the velocity that a unit force takes back in a step. The solution, in closed form, neither overshoots a reversal
-    nor creeps through a rest. Its derivative is that of one Newton step.
-    """
-    if here.yielding is None:
-        return jnp.tanh(ratio(here.v, eps))
-    if here.behind is None:
-        holding = ratio(here.a, here.compliance * jnp.maximum(force, 0.0))
-        held = (jnp.abs(here.v) < AT_REST * eps) & (jnp.abs(holding) < 1.0)
-        return jnp.where(held, holding, jnp.clip(ratio(here.v, eps), -1.0, 1.0))
-    width = jnp.maximum(eps, SLOWEST)
-    first, free = here.behind / width, here.ahead / width
-    stiff = here.yielding * jnp.maximum(force, 0.0) / width
-    s = _mean_sign(*_solved(*(jax.lax.stop_gradient(x) for x in (first, free, stiff))))[0]
-    mean, slope = _mean_sign(first, free - stiff * s)
-    return s - (s - mean) / (1.0 + jax.lax.stop_gradient(stiff * slope))
-
-
-def _solved(a, f, k):
-    """Start and end of a step, the end b where f − b = k·(mean sign over [a, b]).
-
-    (f − b)(b − a) = k (G(b) − G(a)) is a quadratic in b above 1, below −1 and between; the mean rises with b, so that
-    the piece with the solution shows at ±1.
-    """
-    Ga = _ramp(a)
-
-    def beyond(b):
-        return f - b - k * _mean_sign(a, jnp.full_like(f, b))[0]
-
-    def root(A, B, C, larger):
-        # A b² + B b + C = 0 without cancellation.
-        q = -(B + jnp.where(B < 0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(B * B - 4 * A * C, 0.0))) / 2
-        one, other = q / A, C / jnp.where(q == 0, 1.0, q)
-        return jnp.where(larger, jnp.maximum(one, other), jnp.minimum(one, other))
-
-    above = jnp.where(a >= 1, f - k, root(1.0, k - f - a, f * a - k * (0.5 + Ga), True))
-    below = jnp.where(a <= -1, f + k, root(1.0, -(f + a + k), f * a - k * (0.5 + Ga), False))
-    across = root(1 + k / 2, -(f + a), f * a - k * Ga, a < 0)
-    within = jnp.where(jnp.abs(a) <= 1, (f - k * a / 2) / (1 + k / 2), across)
-    return a, jnp.where(beyond(1.0) > 0, above, jnp.where(beyond(-1.0) < 0, below, within))
-
-
-def _mean_sign(a, b):
-    """Mean of x limited to ±1 over [a, b], and its derivative by b."""
-    near = jnp.abs(b - a) < 1e-3
-    distance = jnp.where(near, 1.0, b - a)
-    sign = jnp.clip(b, -1.0, 1.0)
-    mean = jnp.where(near, jnp.clip((a + b) / 2, -1.0, 1.0), (_ramp(b) - _ramp(a)) / distance)
-    slope = jnp.where(near, (jnp.abs(b) < 1.0) / 2.0, (sign - mean) / distance)
-    return mean, jnp.maximum(slope, 0.0)
-
-
-def _ramp(x):
-    size = jnp.abs(x)
-    return jnp.where(size < 1.0, x * x / 2, size - 0.5)
+def direction(here, eps):
+    """Sign of the velocity, turning over ± `eps`: tanh(v/eps), or as the step of a simulation solves it."""
+    return jnp.tanh(ratio(here.v, eps)) if here.turn is None else here.turn
 
 
 class CoulombFriction(AbstractForceEffect):
@@ -107,8 +41,11 @@ class CoulombFriction(AbstractForceEffect):
     def shapes(self, scales):
         return [np.array([1.0, WIDTH * scales.v])]
 
+    def rubbing(self, p, here):
+        return p[0], p[1]
+
     def force(self, p, here, z):
-        return p[0] * direction(here, p[0], p[1])
+        return p[0] * direction(here, p[1])
 
 
 class StribeckFriction(AbstractForceEffect):
@@ -147,10 +84,13 @@ class StribeckFriction(AbstractForceEffect):
         # Coulomb's friction is that at rest as well: from too little there, a refit makes the rest narrow to nothing.
         return super().widened(p, simple | {"Fs": simple.get("Fc", p[1])})
 
-    def force(self, p, here, z):
+    def rubbing(self, p, here):
         near_rest = jnp.exp(-(ratio(here.v, p[2]) ** 2))
-        size = p[0] * (1.0 - near_rest) + p[1] * near_rest
-        return size * direction(here, size, p[3])
+        return p[0] * (1.0 - near_rest) + p[1] * near_rest, p[3]
+
+    def force(self, p, here, z):
+        size, eps = self.rubbing(p, here)
+        return size * direction(here, eps)
 
 
 class AsymmetricFriction(AbstractForceEffect):
@@ -169,8 +109,11 @@ class AsymmetricFriction(AbstractForceEffect):
     def shapes(self, scales):
         return [np.array([1.0, 1.0, WIDTH * scales.v])]
 
+    def rubbing(self, p, here):
+        return p[0], p[2]
+
     def force(self, p, here, z):
-        return p[0] * direction(here, p[0], p[2]) + p[1] * jnp.abs(here.v)
+        return p[0] * direction(here, p[2]) + p[1] * jnp.abs(here.v)
 
 
 class QuadraticDrag(AbstractForceEffect):
@@ -219,9 +162,12 @@ class PositionDependentFriction(AbstractForceEffect):
         slope = p[1] * weights[1] / total if total > 0.0 else 0.0
         return self.bounded([p[0] * total, slope, p[2]])
 
+    def rubbing(self, p, here):
+        return p[0] * (1.0 + p[1] * here.q), p[2]
+
     def force(self, p, here, z):
-        size = p[0] * (1.0 + p[1] * here.q)
-        return size * direction(here, size, p[2])
+        size, eps = self.rubbing(p, here)
+        return size * direction(here, eps)
 
 
 class FractionalDamping(AbstractForceEffect):
