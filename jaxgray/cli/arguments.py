@@ -327,6 +327,15 @@ class Demonstrating:
     seed: Annotated[int, _option("--seed", metavar="N", help="Of the inputs and the noise.")] = 1
 
 
+@dataclass(frozen=True, kw_only=True)
+class Manual:
+    """What `docs` takes."""
+
+    out: Annotated[
+        Path | None, _option("--out", metavar="DIR", help="Write the manual to this folder, and open nothing.")
+    ] = None
+
+
 def words(text: str | None) -> list[str]:
     """The parts of a list with commas; commas in brackets belong to a name, as in `u[0,1]`."""
     parts, depth, last = [], 0, 0

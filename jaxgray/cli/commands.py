@@ -4,7 +4,7 @@ import dataclasses
 
 import typer
 
-from . import diagnosing, fleet
+from . import diagnosing, docs, fleet
 from .arguments import (
     Channels,
     Excitation,
@@ -207,3 +207,4 @@ def export(exporting: Exporting, talk: Talk) -> None:
 
 app.command(short_help="List the effects that a diagnosis can name.")(diagnosing.effects)
 app.command(short_help="Diagnose a simulated system of known truth.")(diagnosing.demo)
+app.command(short_help="Open the manual, or write it to a folder.")(docs.docs)

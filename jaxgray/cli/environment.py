@@ -52,8 +52,13 @@ def cache_folder() -> Path | None:
 
     Compiled code holds the instructions of the processor it was made on, and a home directory may be shared.
     """
+    return user_cache("xla", hashlib.sha256(processor().encode()).hexdigest()[:12])
+
+
+def user_cache(*parts: str) -> Path | None:
+    """A folder below `jaxgray` in the user's cache directory, made if it is not there; None where not writable."""
     base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    folder = Path(base) / "jaxgray" / "xla" / hashlib.sha256(processor().encode()).hexdigest()[:12]
+    folder = Path(base).joinpath("jaxgray", *parts)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

@@ -3,10 +3,11 @@
 diagnose     the pipeline
 routing      which likelihood can judge a record
 conclusions  the result: tables, budget, curves, next experiment
-search       which effects are in the model: propose, refit, accept, drop
+search       which effects are in the model, by free runs: propose, refit, accept, drop
 starts       where a refit can begin, besides the score test
 estimation   refits of one structure
-equation_error, static_gain  the two other likelihoods: force equation, quasi-static gain
+selection    forward selection where refits cost little
+equation_error, static_gain  the likelihoods that it serves: force equation, quasi-static gain
 data_checks  what is wrong with the records themselves
 screening    the score test: which effects the residual shows
 noise        noise models, smoothing, noise floor

@@ -34,10 +34,13 @@ TURNS = 3
 
 
 def something_left(noise_model: NoiseModel) -> bool:
-    """Whether a refit leaves more than white noise."""
-    return noise_model.ratio > 0.0 or bool(
-        np.any(np.diag(noise_model.lower) < settings.WHITE_INNOVATIONS * noise_model.level)
-    )
+    """Whether a refit leaves more than white noise at the samples."""
+    return noise_model.ratio > 0.0 or predictable(noise_model)
+
+
+def predictable(noise_model: NoiseModel) -> bool:
+    """Whether what a refit leaves at some output can be predicted, its innovations being well below it."""
+    return bool(np.any(np.diag(noise_model.lower) < settings.WHITE_INNOVATIONS * noise_model.level))
 
 
 def from_other_values(

@@ -8,7 +8,7 @@ from ...numerics.side_by_side import side_by_side
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
-from ..estimation.profile_scan import something_left
+from ..estimation.profile_scan import predictable
 from ..findings import Reason, Rejected
 from ..noise.whitening import estimate_noise_model, white_noise_model
 from ..screening.linearization import Stage, screen_simulated, screen_smoothed
@@ -45,7 +45,7 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
         late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
         behind = given_up(state.rejected[before:], ranked)
         late += force_matched(context, stage, ranked[0], behind, (closer, screening), state.rejected)
-        if something_left(ranked[0].noise_model):
+        if predictable(ranked[0].noise_model):
             elsewhere = at_other_places(ranked[0], screening, closer, tried - behind)
             late += refit_at_other_places(context, stage, ranked[0], elsewhere)
         ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
