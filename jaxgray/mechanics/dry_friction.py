@@ -1,13 +1,14 @@
 """Which way dry friction acts while bodies slide, reverse and rest: solved for all places of a step at once.
 
-Over a step the velocity along an arm runs in a straight line from a to b. Friction of size F turns over a width w:
-its mean over the step is F·s, G being the integral of x limited to ±1,
+Over a step the velocity along an arm would run in a straight line from a to `free` without friction; friction of full
+size takes k of it back. For a > 0 it slides on, s = 1, where free > k. Otherwise it comes to rest after the part θ of
+the step, and then stays there, held, or goes back:
 
-    s = (G(b/w) − G(a/w))/(b/w − a/w),        b = free − Y F s,
+    θ = a/(a + k − free),        s = θ + (1 − θ) g/k  for |g| ≤ k,  2θ − 1 for g < −k,        g = free − a,
 
-Y the velocity that unit forces take back in a step, along every arm by every arm. The mean rises with b, so that the
-solution is unique. It neither overshoots a reversal nor creeps through a rest. One place is solved in closed form,
-several in turn (Gauss-Seidel) with one Newton step of all at the end; its derivative is that of this step.
+s being the mean direction. So reversals are neither missed nor overshot, and a body at rest stays there. Where the law
+turns over a width that the steps resolve, s is the mean over the step of v/width limited to ±1. Several places are
+solved in turn (Gauss-Seidel), with one Newton step of all at the end; its derivative is that of this step.
 """
 
 import equinox as eqx
@@ -17,9 +18,8 @@ from jaxtyping import Array, Float
 
 from .effects.friction import SLOWEST, ratio
 
-NARROWED = 0.1
-"""Share of the velocity that a friction takes back in a step, over which its sign turns at most: a body at rest creeps
-the less, the shorter the steps."""
+SHARP = 10.0
+"""Velocity that a friction takes back in a step, in widths of its turn, from which it counts as sharp."""
 
 AT_REST = 4.0
 """Velocity below which a body is at rest, in widths: a step may end a little beyond one."""
@@ -43,19 +43,16 @@ class Rubbing(eqx.Module):
     together: Float[Array, "slots slots"]
 
     @classmethod
-    def of(cls, size, eps, arms: Float[Array, "slots dofs"], yielding: Float[Array, "slots slots"]) -> "Rubbing":
-        """From the size and the width that the laws have, along some arms."""
-        size = jnp.maximum(size, 0.0)
+    def of(cls, size, width, arms: Float[Array, "slots dofs"]) -> "Rubbing":
+        """From the sizes and widths that laws have, along some arms."""
         together = jnp.all(arms[:, None] == arms[None], axis=2).astype(float)
-        taken = jax.lax.stop_gradient(_widened(jnp.diag(yielding), size) * _times(together, size))
-        width = jnp.minimum(eps, jnp.where(taken > 0, NARROWED * taken, eps))
         # Where nothing rubs any width does.
-        return cls(size, jnp.where(size > 0, jnp.maximum(width, SLOWEST), 1.0), together)
+        return cls(jnp.maximum(size, 0.0), jnp.where(size > 0, jnp.maximum(width, SLOWEST), 1.0), together)
 
     def at_an_instant(self, v, a, compliance: Float[Array, "slots slots"]) -> Float[Array, "slots *samples"]:
         """Forces at velocity `v`, in the direction of v/width limited to ±1. Where bodies are at rest and friction can
-        hold them, they are what holds, `a` being the accelerations without them: the velocity there is rounding, and
-        an accelerometer sees the force."""
+        hold them, they are what holds, `a` being the rates of the velocities without them: the velocity there is
+        rounding, and an accelerometer sees the force."""
         return self._where_some_rub(Rubbing._at_an_instant, v, a, compliance)
 
     def over_a_step(self, v, free, yielding: Float[Array, "slots slots"]) -> Float[Array, "slots *samples"]:
@@ -83,16 +80,13 @@ class Rubbing(eqx.Module):
 
     def _over_a_step(self, v, free, yielding):
         own, others = self._coupling(yielding)
-        # In widths from here on.
-        first, free, own, others = v / self.width, free / self.width, own / self.width, others / self.width[:, None]
         turn = jnp.zeros_like(free)
-        if len(v) > 1:
-            turn = _one_after_the_other(_over_a_step, turn, first, free, own, others)
-        b = _end_of_step(*(jax.lax.stop_gradient(x) for x in (first, free - _times(others, turn), own)))
-        turn, slope = _mean_sign(first, b)
-        A = _diagonal(1.0 + own * slope) + others * slope[None]
-        b = b + _times(_inverse(A), free - b - own * turn - _times(others, turn))
-        return _mean_sign(first, b)[0]
+        if len(v) == 1:
+            return _mean_direction(v, free, own, self.width)[0]
+        turn = _one_after_the_other(_over_a_step, turn, v, free, own, self.width, others)
+        mean, slope = _mean_direction(v, free - _times(others, turn), own, self.width)
+        A = _diagonal(jnp.ones_like(own)) + slope[:, None] * others
+        return turn + _times(_inverse(A), mean - turn)
 
     def _coupling(self, response: Float[Array, "slots slots"]):
         """What all friction of a place does there, and what that of other places does, by the response to forces."""
@@ -106,8 +100,8 @@ def _holding_or_sliding(turn, rest, sliding, a, own, others):
     return jnp.where(rest & (jnp.abs(wanted) < 1.0), wanted, sliding)
 
 
-def _over_a_step(turn, first, free, own, others):
-    return _mean_sign(first, _end_of_step(first, free - _times(others, turn), own))[0]
+def _over_a_step(turn, v, free, own, width, others):
+    return _mean_direction(v, free - _times(others, turn), own, width)[0]
 
 
 def _one_after_the_other(direction, turn, *given):
@@ -131,7 +125,30 @@ def _one_after_the_other(direction, turn, *given):
     return jax.lax.while_loop(moves, once, (0, turn, jnp.where(coupled, jnp.inf, turn)))[1]
 
 
-def _end_of_step(a, f, k):
+def _mean_direction(v, free, k, width):
+    """Mean direction over a step, and its derivative by `free`; see the module."""
+    sharp, by_free = _of_a_sharp_turn(v, free, jnp.where(k > 0, k, 1.0))
+    first, free, k = v / width, free / width, k / width
+    b = _end_of_a_wide_turn(*(jax.lax.stop_gradient(x) for x in (first, free, k)))
+    mean, slope = _mean_sign(first, b)
+    b = b + (free - b - k * mean) / (1.0 + jax.lax.stop_gradient(k * slope))
+    resolved = jax.lax.stop_gradient(k < SHARP)
+    direction = jnp.where(resolved, _mean_sign(first, b)[0], sharp)
+    return direction, jax.lax.stop_gradient(jnp.where(resolved, slope / (1.0 + k * slope) / width, by_free))
+
+
+def _of_a_sharp_turn(a, free, k):
+    way = jnp.where(a == 0, jnp.sign(free), jnp.sign(a))
+    a, free = way * a, way * free
+    slides, left = free > k, jnp.where(free > k, 1.0, jnp.maximum(a + k - free, SLOWEST))
+    part, g = a / left, free - a
+    held = jnp.abs(g) <= k
+    mean = jnp.where(slides, 1.0, jnp.where(held, part + (1.0 - part) * g / k, 2.0 * part - 1.0))
+    slope = jnp.where(held, part / left * (1.0 - g / k) + (1.0 - part) / k, 2.0 * part / left)
+    return way * mean, jnp.where(slides, 0.0, slope)
+
+
+def _end_of_a_wide_turn(a, f, k):
     """End b of a step that begins at a: f − b = k·(mean sign over [a, b]).
 
     (f − b)(b − a) = k (G(b) − G(a)) is a quadratic in b above 1, below −1 and between; the mean rises with b, so that

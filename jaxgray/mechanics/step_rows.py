@@ -36,8 +36,10 @@ class StepRows(eqx.Module):
     """What one step needs as rows of a table, so that a step is a few products: motion along the arms (displacement,
     velocity, acceleration) at the beginning, in the middle and at the end of the step, and the new state.
 
-    `states`: by the state; `steady`, `rising`: by an input held, and by its rise over the step; `halfway`, `ending`:
-    motion in the middle and at the end by forces held from the beginning; `whole`: new state by such forces;
+    `states`: by the state; `steady`, `rising`: by an input held, and by its rise over the step; last of all come the
+    rates at which the velocities along the arms change at the beginning, which under a moving base are not the
+    accelerations that a sensor sees. `halfway`, `ending`: motion in the middle and at the end by forces held from the
+    beginning; `whole`: new state by such forces;
     `compliance`: acceleration along every arm by a unit force along every arm.
     """
 
@@ -61,13 +63,14 @@ class StepRows(eqx.Module):
         Ad, B0, B1 = hold_matrices(system.A, B, 1.0, "linear")
         Ah, H0, H1 = hold_matrices(system.A, B, 0.5, "linear")
         C, D = (X.reshape(3 * slots, -1) for X in local_rows(plant, arms, h))
+        rate, driven = C[slots : 2 * slots] @ system.A / h, C[slots : 2 * slots] @ system.B / h
         held, half = B0 + B1, H0 + H1
         late, late_half = B1[:, :inputs], H1[:, :inputs] / 2
         whole = held[:, inputs:]
         return cls(
-            states=jnp.concatenate([C, C @ Ah, C @ Ad, Ad]),
-            steady=jnp.concatenate([D, C @ half[:, :inputs] + D, C @ held[:, :inputs] + D, held[:, :inputs]]),
-            rising=jnp.concatenate([jnp.zeros_like(D), C @ late_half + D / 2, C @ late + D, late]),
+            states=jnp.concatenate([C, C @ Ah, C @ Ad, Ad, rate]),
+            steady=jnp.concatenate([D, C @ half[:, :inputs] + D, C @ held[:, :inputs] + D, held[:, :inputs], driven]),
+            rising=jnp.concatenate([jnp.zeros_like(D), C @ late_half + D / 2, C @ late + D, late, 0.0 * driven]),
             halfway=C @ half[:, inputs:],
             ending=C @ whole,
             whole=whole,
@@ -81,8 +84,8 @@ class StepRows(eqx.Module):
         return -self.ending[slots : 2 * slots]
 
     def split(self, row):
-        """Motion at the beginning, in the middle, at the end, each quantities × slots, and the new state; samples last
-        where there are many."""
-        count, many = self.ending.shape[0], row.shape[1:]
+        """Motion at the beginning, in the middle, at the end, each quantities × slots; the new state; and the rates of
+        the velocities at the beginning. Samples last where there are many."""
+        count, many, states = self.ending.shape[0], row.shape[1:], self.whole.shape[0]
         begin, middle, final = (row[k * count : (k + 1) * count].reshape(3, -1, *many) for k in range(3))
-        return begin, middle, final, row[3 * count :]
+        return begin, middle, final, row[3 * count : 3 * count + states], row[3 * count + states :]

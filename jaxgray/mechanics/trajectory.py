@@ -108,7 +108,7 @@ class Sampler(eqx.Module):
         base, slope, channels, change, t = driven
         rows, count, share = self.rows, self.slots.arms.shape[0], 1.0 / self.substeps
         h, fraction = self.sampling_time * share, j * share
-        begin, middle, final, after = rows.split(_product(rows.states, x) + base + fraction * slope)
+        begin, middle, final, after, rate = rows.split(_product(rows.states, x) + base + fraction * slope)
 
         def local(s, motion, at):
             u = channels + (fraction + at * share) * change
@@ -118,7 +118,7 @@ class Sampler(eqx.Module):
 
         here = [local(s, begin, 0.0) for s in range(count)]
         smooth, rubbing = self._forces(here, z)
-        f0 = smooth if rubbing is None else smooth + rubbing.at_an_instant(begin[1], begin[2], rows.compliance)
+        f0 = smooth if rubbing is None else smooth + rubbing.at_an_instant(begin[1], rate, rows.compliance)
         middle = middle + _by(rows.halfway, f0)
         there = [local(s, middle, 0.5) for s in range(count)]
         f1, rubbing = self._forces(there, self._advanced(z, here, there, h / 2))
@@ -141,7 +141,7 @@ class Sampler(eqx.Module):
         if not rubbing(self.laws):
             return parts, None
         smooth, size, eps = jnp.moveaxis(parts, 1, 0)
-        return smooth, Rubbing.of(size, eps, slots.arms, self.rows.yielding)
+        return smooth, Rubbing.of(size, eps, slots.arms)
 
     def _advanced(self, z, before: list[Local], after: list[Local], time):
         if not self.memory:

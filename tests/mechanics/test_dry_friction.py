@@ -1,9 +1,10 @@
-"""Dry friction in a simulation: rest without creep, and several laws at one place."""
+"""Dry friction in a simulation: reversals, rest, and laws at several places."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
 
 from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import by_id
@@ -13,6 +14,7 @@ from jaxgray.mechanics.tangents import Directions, run_and_tangents
 
 COULOMB, STRIBECK = by_id("coulomb_friction"), by_id("stribeck_friction")
 EPS, TIME = 1e-4, 0.01
+STIFF = 41.0
 FIRST = Place("y1", 0)
 
 
@@ -71,15 +73,46 @@ def test_frictions_at_neighbouring_places_have_bounded_derivatives():
     assert np.abs(J[:, 1]).max() < 2 * np.abs(other[:, 1]).max()
 
 
+def single(effect, values, x0, *, push=0.0, stiffness=STIFF, substeps=1, samples=600):
+    """Displacement of a mass of 1 kg on a spring under a constant force and friction."""
+    plant = Plant(np.eye(1), np.zeros((1, 1)), np.full((1, 1), stiffness), Force(np.eye(1)), ("displacement",))
+    u = jnp.full((samples, 1), push)
+    slots = slots_of((Term(effect, FIRST, np.array(values)),), plant, (effect,))
+    return np.asarray(plant_run(plant, x0, u, u, slots, 0.02, laws=(effect,), substeps=substeps, seen=u))[:, 0]
+
+
+def swings(t, start, friction):
+    """A mass of 1 kg on a spring, let go, under dry friction: half swings about ± friction/stiffness, then rest."""
+    omega, shift = np.sqrt(STIFF), friction / STIFF
+    half = np.floor(t * omega / np.pi).astype(int)
+    stays = int(np.ceil((start - shift) / (2 * shift)))
+    half = np.minimum(half, stays)
+    turn = (-1.0) ** half * (start - 2 * shift * half)
+    moving = (turn - np.sign(turn) * shift) * np.cos(omega * t - np.pi * half) + np.sign(turn) * shift
+    return np.where(half == stays, turn, moving)
+
+
+def test_dry_friction_is_followed_to_second_order_until_the_body_sticks():
+    wanted = swings(0.02 * np.arange(600), 1.0, 2.0)
+    assert np.ptp(wanted[-200:]) == 0.0 and abs(wanted[-1]) < 2.0 / STIFF
+    off = [
+        np.sqrt(np.mean((single(COULOMB, [2.0, 1e-7], np.array([1.0, 0.0]), substeps=n) - wanted) ** 2)) for n in (2, 8)
+    ]
+    assert off[0] < 3e-3 and off[1] < off[0] / 12
+
+
 @pytest.mark.parametrize("effect, sizes", [(COULOMB, (3.0,)), (STRIBECK, (3.0, 3.0, 0.1))])
-def test_a_body_that_friction_holds_creeps_less_in_shorter_steps(effect, sizes):
-    """Held from rest by twice the force that pushes, over the whole record."""
-    u = jnp.full((400, 2), jnp.array([1.5, 0.0]))
-    crept = []
-    laws = (effect,)
-    still = Plant(np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)), Force(np.eye(2)), ("displacement",) * 2)
-    for substeps in (1, 8):
-        slots = slots_of((Term(effect, FIRST, np.array([*sizes, 1.0])),), still, laws)
-        y = plant_run(still, np.zeros(4), u, u, slots, TIME, laws=laws, substeps=substeps, seen=u)
-        crept.append(abs(float(y[-1, 0])))
-    assert crept[1] < crept[0] / 4 and crept[0] < 0.01 * TIME * 400
+@pytest.mark.parametrize("substeps", [1, 8])
+def test_a_body_that_friction_holds_stays(effect, sizes, substeps):
+    held = single(effect, [*sizes, 1e-7], np.zeros(2), push=1.5, stiffness=0.0, substeps=substeps)
+    assert np.abs(held).max() < 1e-12
+
+
+def test_a_turn_that_the_steps_resolve_is_that_of_the_law():
+    def rates(_, x):
+        return [x[1], -STIFF * x[0] - 2.0 * np.clip(x[1] / 0.5, -1.0, 1.0)]
+
+    t = 0.02 * np.arange(300)
+    wanted = scipy.integrate.solve_ivp(rates, (0, t[-1]), [1.0, 0.0], t_eval=t, rtol=1e-10, atol=1e-12, max_step=0.01)
+    found = single(COULOMB, [2.0, 0.5], np.array([1.0, 0.0]), substeps=4, samples=300)
+    np.testing.assert_allclose(found, wanted.y[0], rtol=0, atol=1e-3)

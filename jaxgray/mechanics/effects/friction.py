@@ -8,7 +8,7 @@ from .base import AbstractForceEffect, Parameter
 SLOWEST = 1e-100
 """Least velocity that is divided by, so that no value of a parameter makes a NaN."""
 
-WIDTH = 0.001
+WIDTH = 1e-5
 """Velocity over which the sign turns, as a share of the typical velocity."""
 
 _FORCE = Parameter("Fc", (1, 0, 0), lower=0.0, amplitude=True)
