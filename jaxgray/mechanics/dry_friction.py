@@ -30,6 +30,9 @@ TURNS = 4
 STAYS = 1e-9
 """Change of a direction that counts as none."""
 
+SHARED = 1e-9
+"""Added to the diagonal, relative, so that a solution exists where places that depend on one another share a force."""
+
 
 class Rubbing(eqx.Module):
     """Dry friction at some places; laws at one place turn together, as one of the size of their sum.
@@ -65,28 +68,27 @@ class Rubbing(eqx.Module):
         )
 
     def _at_an_instant(self, v, a, compliance):
-        rest = jnp.abs(v) < AT_REST * self.width
+        rest = (jnp.abs(v) < AT_REST * self.width) & (self.size > 0)
         sliding = jnp.clip(v / self.width, -1.0, 1.0)
         own, others = self._coupling(compliance)
-
         turn = _holding_or_sliding(jnp.zeros_like(a), rest, sliding, a, own, others)
         if len(v) == 1:
             return turn
         turn = _one_after_the_other(_holding_or_sliding, turn, rest, sliding, a, own, others)
         held = rest & (jnp.abs(ratio(a - _times(others, turn), own)) < 1.0)
         missing = jnp.where(held, a - own * turn - _times(others, turn), sliding - turn)
-        A = jnp.where(held[:, None], _diagonal(own) + others, _diagonal(jnp.ones_like(own)))
-        return turn + _times(_inverse(A), missing)
+        # Places that hold one another, as in a ring, leave open who holds what.
+        A = jnp.where(held[:, None], (1.0 + SHARED) * _diagonal(own) + others, _diagonal(jnp.ones_like(own)))
+        return jnp.clip(turn + _times(_inverse(A), missing), -1.0, 1.0)
 
     def _over_a_step(self, v, free, yielding):
         own, others = self._coupling(yielding)
-        turn = jnp.zeros_like(free)
         if len(v) == 1:
             return _mean_direction(v, free, own, self.width)[0]
-        turn = _one_after_the_other(_over_a_step, turn, v, free, own, self.width, others)
+        turn = _one_after_the_other(_over_a_step, jnp.zeros_like(free), v, free, own, self.width, others)
         mean, slope = _mean_direction(v, free - _times(others, turn), own, self.width)
-        A = _diagonal(jnp.ones_like(own)) + slope[:, None] * others
-        return turn + _times(_inverse(A), mean - turn)
+        A = (1.0 + SHARED) * _diagonal(jnp.ones_like(own)) + slope[:, None] * others
+        return jnp.clip(turn + _times(_inverse(A), mean - turn), -1.0, 1.0)
 
     def _coupling(self, response: Float[Array, "slots slots"]):
         """What all friction of a place does there, and what that of other places does, by the response to forces."""

@@ -39,8 +39,8 @@ class StepRows(eqx.Module):
     `states`: by the state; `steady`, `rising`: by an input held, and by its rise over the step; last of all come the
     rates at which the velocities along the arms change at the beginning, which under a moving base are not the
     accelerations that a sensor sees. `halfway`, `ending`: motion in the middle and at the end by forces held from the
-    beginning; `whole`: new state by such forces;
-    `compliance`: acceleration along every arm by a unit force along every arm.
+    beginning; `whole`: new state by such forces; `compliance`: acceleration along every arm by a unit force along
+    every arm.
     """
 
     states: Float[Array, "rows states"]

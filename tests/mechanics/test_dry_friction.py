@@ -73,6 +73,31 @@ def test_frictions_at_neighbouring_places_have_bounded_derivatives():
     assert np.abs(J[:, 1]).max() < 2 * np.abs(other[:, 1]).max()
 
 
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (term(COULOMB, 3.0), Term(by_id("cubic_stiffness"), Place("y1-y2", 0, 1), np.array([50.0]))),
+        # Each of three holds part of what the other two could hold.
+        (term(COULOMB, 3.0), term(COULOMB, 2.0, place=Place("y2", 1)), term(COULOMB, 1.0, place=Place("y1-y2", 0, 1))),
+    ],
+)
+def test_all_is_still_without_a_force_and_finite_with_one(terms):
+    laws = tuple(dict.fromkeys(one.effect for one in terms))
+    slots = slots_of(terms, plant(), laws)
+    along = np.zeros((1, *slots.values.shape))
+    along[0, 0, 0] = 1.0
+    zeros = [np.zeros((1, *shape)) for shape in ((2, 2), (2, 2), (2, 2), (4,))]
+
+    def moved(u):
+        directions = Directions(*zeros, along)
+        return run_and_tangents(plant(), np.zeros(4), u, u, slots, directions, TIME, laws=laws, substeps=4, seen=u)
+
+    y, J = jax.jit(moved)(jnp.zeros((300, 2)))
+    assert np.all(np.asarray(y) == 0) and np.all(np.asarray(J) == 0)
+    y, J = jax.jit(moved)(jnp.asarray(pushes(300)))
+    assert np.all(np.isfinite(y)) and np.all(np.isfinite(J)) and np.abs(J).max() < 10
+
+
 def single(effect, values, x0, *, push=0.0, stiffness=STIFF, substeps=1, samples=600):
     """Displacement of a mass of 1 kg on a spring under a constant force and friction."""
     plant = Plant(np.eye(1), np.zeros((1, 1)), np.full((1, 1), stiffness), Force(np.eye(1)), ("displacement",))
