@@ -30,7 +30,7 @@ TURNS = 4
 STAYS = 1e-9
 """Change of a direction that counts as none."""
 
-SHARED = 1e-9
+SHARED = 1e-12
 """Added to the diagonal, relative, so that a solution exists where places that depend on one another share a force."""
 
 
