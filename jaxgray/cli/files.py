@@ -84,22 +84,16 @@ def own_model(path: Path, record: Record, excitation: Excitation):
 
     **Returns:** a `MechanicalModel`.
 
-    **Raises:** `ValueError` where the file cannot be read, has effects, or does not fit the record.
+    **Raises:** `ValueError` where the file cannot be read or does not fit the record.
     """
     import dataclasses
 
     from ..identification.setup.options import drive_of
-    from ..mechanics.abstract_model import effect_names
     from ..mechanics.linear import corrected
     from ..report import export
 
     model, given = export.load(path), export.given(path)
     model = corrected(model)
-    if model.effects:
-        raise ValueError(
-            f"{path} has effects ({effect_names(model)}), and a diagnosis begins with a linear model; write its "
-            f"linear part with `jaxgray export {path} linear.json --linear` and judge that."
-        )
     if model.hidden:
         raise ValueError(
             f"{path} has hidden coordinates ({', '.join(model.hidden)}), and a diagnosis judges models of measured "

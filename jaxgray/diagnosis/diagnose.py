@@ -10,6 +10,7 @@ from ..identification import Identification
 from ..identification.validation.structure_test import StructureTest
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
+from ..mechanics.linear import corrected
 from ..mechanics.model import MechanicalModel
 from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
 from ..numerics.runtime import ready, relieve, undisturbed
@@ -45,6 +46,7 @@ from .model.candidate import Data
 from .model.compile_ahead import compiling_ahead
 from .model.free_run import FreeRun, overall
 from .model.held_out_gain import gain_of
+from .model.own_laws import laws_of, parameter_errors
 from .model.simulator import Simulator, steps_of
 from .noise.floor import independent_floor, residual_rms
 from .result import Diagnosis
@@ -84,7 +86,8 @@ def diagnose(
 
     - `record`: one record, or several of the same system.
     - `validation`: records that the fit does not see; default the last part of the record.
-    - `model`: the user's own model, judged as it is; default the model identified from the record.
+    - `model`: the user's own model, judged as it is, with its effects: which of its numbers are wrong, then what it
+      lacks; default the model identified from the record.
     - `catalogue`: effects to look for; append your own.
     - `only`, `exclude`: ids of effects to look for alone, or to leave out; default none.
     - `max_effects`: how many effects may be added; default 4.
@@ -119,7 +122,8 @@ def diagnose(
         records, held = [first], [last]
     check_compatible(records + held)
     if model is not None:
-        searched = MODEL_ERRORS + searched
+        model = corrected(model)
+        searched = wrong_numbers(model, records[0]) + searched
     used, unseen = [without_defects(r) for r in records], [without_defects(r) for r in held]
     check_enough(used, unseen)
     with compiling_ahead(used, FORCES, searched, model, options):
@@ -179,7 +183,7 @@ def _of_clean_records(
     )
     if model is not None:
         context = dataclasses.replace(context, identified=identified(context.simulator, records, context.data, options))
-    errors = () if model is None else MODEL_ERRORS
+    errors = MODEL_ERRORS + parameter_errors(baseline.setup.own) if baseline.own else ()
     state, searched = search(context, baseline, max_effects, errors=errors)
     if identification is not None:
         with contextlib.suppress(BudgetSpent):
@@ -191,7 +195,7 @@ def _of_clean_records(
     found = by_force_equation(found, context.forces)
     if searched.where is not None:
         anew += (f"{searched.where}; every number is of the refit on the whole record.",)
-    warnings = anew + beyond_the_fit(records, held) + found.warnings
+    warnings = baseline.left_out + anew + beyond_the_fit(records, held) + found.warnings
     return dataclasses.replace(found, findings=outliers + found.findings, warnings=warnings)
 
 
@@ -215,6 +219,11 @@ def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
 
     wanted, unwanted = ids("only", only), ids("exclude", exclude) or set()
     return tuple(e for e in catalogue if (wanted is None or e.id in wanted) and e.id not in unwanted)
+
+
+def wrong_numbers(model: MechanicalModel, record: Record) -> tuple[AbstractEffect, ...]:
+    """What may be wrong of a given model: entries of its matrices, and numbers of its laws."""
+    return MODEL_ERRORS + parameter_errors(laws_of(model, record)[0])
 
 
 def _assembled(

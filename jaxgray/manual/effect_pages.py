@@ -211,8 +211,9 @@ def _errors(document: dict, shown: dict[str, str]) -> str:
         "# Errors of a given model",
         "Where you bring your own model, single entries of its matrices may be wrong. A diagnosis tests that before "
         "any law, and only there.",
-        f"```sh\njaxgray diagnose record.csv {CHANNELS} --model model.json --only "
-        f"{','.join(one['id'] for one in described)}\n```",
+        f"```sh\njaxgray diagnose record.csv {CHANNELS} --model model.json\n```",
+        "A model that has effects may have wrong numbers in them, too: such a finding is a `parameter_error` at a "
+        "place such as `Fc of coulomb_friction at y1`, with the Δ that has to be added.",
     ]
     for effect, one in zip(MODEL_ERRORS, described, strict=True):
         parts += [

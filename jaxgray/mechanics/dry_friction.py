@@ -69,7 +69,8 @@ class Rubbing(eqx.Module):
 
     def _at_an_instant(self, v, a, compliance):
         rest = (jnp.abs(v) < AT_REST * self.width) & (self.size > 0)
-        sliding = jnp.clip(v / self.width, -1.0, 1.0)
+        # A turn over no width at all has no slope.
+        sliding = jnp.where(self.width > SLOWEST, jnp.clip(v / self.width, -1.0, 1.0), jnp.sign(v))
         own, others = self._coupling(compliance)
         turn = _holding_or_sliding(jnp.zeros_like(a), rest, sliding, a, own, others)
         if len(v) == 1:

@@ -14,7 +14,6 @@ from made_diagnosis import diagnosis, equivalent, experiment
 import jaxgray
 from jaxgray import demonstration_effects as effects
 from jaxgray.cli import main
-from jaxgray.report import export
 
 CHANNELS = ["--inputs", "u1,u2", "--outputs", "y1,y2"]
 MATRICES = {"mass": [[2, 0], [0, 1]], "damping": [[3, 0], [0, 1]], "stiffness": [[100, -5], [-5, 100]]}
@@ -127,14 +126,12 @@ def test_the_users_own_model_takes_the_names_of_the_record(asked, records, model
     np.testing.assert_array_equal(asked.options["model"].drive.input_map, [[1, 0], [-1, 1]])
 
 
-def test_a_given_model_with_effects_is_refused(records, model, capsys):
+def test_a_given_model_keeps_its_effects(asked, records, model):
     stop = {"effect": "end_stop", "location": "a-b", "parameters": {"ks": 30.0, "gap": 0.1}}
-    path = model(effects=[stop], output_names=["a", "b"])
-    texts = "has effects (end_stop at a-b)", "begins with a linear model", "linear.json --linear"
-    fails(capsys, ["diagnose", records[0], *CHANNELS, "--model", path], *texts)
-    given = export.load(path)
-    with pytest.raises(ValueError, match="effects .end_stop at a-b., .*replace.model, effects="):
-        jaxgray.diagnose(jaxgray.read_record(records[0], inputs=["u1", "u2"], outputs=["y1", "y2"]), model=given)
+    run("diagnose", records[0], *CHANNELS, "--model", model(effects=[stop], output_names=["a", "b"]), "--quiet")
+    given = asked.options["model"]
+    assert given.output_names == ("y1", "y2") and [one.effect.id for one in given.effects] == ["end_stop"]
+    np.testing.assert_array_equal(given.effects[0].values, [30.0, 0.1])
 
 
 @pytest.mark.parametrize(

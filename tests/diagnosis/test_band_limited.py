@@ -32,6 +32,7 @@ def measured_pair(rng, band, noise=0.003, hold="linear", measured="displacement"
     return records
 
 
+@pytest.mark.slow
 def test_a_band_limited_input_is_named():
     estimation, validation = measured_pair(np.random.default_rng(3), 0.35)
     diagnosis = jaxgray.diagnose(estimation, validation=validation)

@@ -36,6 +36,7 @@ def test_a_loss_of_stiffness_in_one_storey_is_dated_and_told_in_percent(tmp_path
     assert "on the drift of that storey" in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_dry_friction_in_one_storey_holds_on_held_out_data():
     # Held-out data begin while the storey may be at rest away from zero: from rest at zero no slope leads there.
     frame, record = shaken(hidden_laws.Effect("coulomb_friction", "y1-y2", {"Fc": 90.0}))

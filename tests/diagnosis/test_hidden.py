@@ -5,8 +5,15 @@ import hidden
 import pytest
 from found import IDS, SAMPLES, check_found, diagnosed, generator, hidden_case, searched
 
+ALWAYS = """cubic_stiffness end_stop coulomb_friction bouc_wen_hysteresis gyroscopic_coupling input_delay
+input_saturation play_hysteresis sensor_offset sensor_lag unmodelled_mode stiffness_step force_step
+periodic_disturbance""".split()
+"""Of every kind some; the others run with the slow tests, and each at three sizes in benchmarks/yardstick.py."""
 
-@pytest.mark.parametrize("effect_id", IDS)
+
+@pytest.mark.parametrize(
+    "effect_id", [*ALWAYS, *(pytest.param(i, marks=pytest.mark.slow) for i in IDS if i not in ALWAYS)]
+)
 def test_a_hidden_effect_is_found(effect_id):
     case = hidden_case(effect_id)
     check_found(case, diagnosed(case, only=searched(effect_id)))

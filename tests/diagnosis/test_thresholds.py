@@ -81,6 +81,7 @@ def test_play_that_needs_fewer_thresholds_has_no_more():
     check_thresholds(diagnosis, weights, radii)
 
 
+@pytest.mark.slow
 def test_play_is_believed_where_its_elements_do_for_one_another():
     # One threshold, under a chirp: three leave nothing but noise, and each alone may as well be nothing.
     rng = np.random.default_rng([92001, 0, zlib.crc32(b"play_hysteresis"), 1])
@@ -117,6 +118,7 @@ def test_only_sums_of_like_elements_are_begun_from_other_thresholds():
     assert {effect.id for effect in CATALOGUE if elements_of(effect)} == {"play_hysteresis", "maxwell_slip_hysteresis"}
 
 
+@pytest.mark.slow
 def test_a_law_that_only_brings_another_to_its_best_values_is_not_kept(monkeypatch):
     # As where the first law was accepted from values that were not its best: any law refitted with it mends them.
     seen = []

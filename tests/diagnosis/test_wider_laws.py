@@ -37,6 +37,7 @@ def friction():
     return case, diagnosis, seen
 
 
+@pytest.mark.slow
 def test_friction_at_rest_is_found_from_the_refit_without_it(friction):
     case, diagnosis, _ = friction
     check_found(case, diagnosis)
@@ -82,6 +83,7 @@ def test_a_wider_law_begins_as_the_simpler_one():
     np.testing.assert_allclose(wide.force(p, here, None), simple.force(np.array([0.7, 2e-3]), here, None), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_record_is_judged_where_no_law_is_left_to_look_for(friction):
     diagnosis = diagnosed(friction[0], only=["coulomb_friction"])
     assert [finding.effect for finding in diagnosis.findings] == ["coulomb_friction"], str(diagnosis)

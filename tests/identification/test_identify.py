@@ -112,6 +112,7 @@ def test_units_do_not_matter(su, sy, st):
     assert data.relative_errors(back, (plain.mass, plain.damping, plain.stiffness)).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_innovations_form_pays_under_process_noise():
     plain, better = [], []
     for seed in range(4):

@@ -16,6 +16,7 @@ from ..estimation.gauss_newton import Refit
 from ..findings import Curves, Estimate, Finding, Member, ModelSummary, NotFound, ParameterShift
 from ..model.candidate import Candidate, Setup
 from ..model.free_run import FreeRun
+from ..model.own_laws import completed, owner_of
 from ..model.parameter_vector import Layout
 from ..noise.floor import residual_rms
 from ..noise.whitening import white_part
@@ -28,10 +29,10 @@ from ..words.titles import place_of, title_of
 def units_at(term: Term, record: Record, per_mass: bool) -> dict:
     """Units of force and length for the parameters of a term, and whether its forces are those on a mass of one: of a
     law, of the displacement whatever the sensor measures; of an input or a sensor, of what it gives."""
-    first = max(term.place.first, 0)
-    if isinstance(term.effect, AbstractOutputEffect):
+    first, law = max(term.place.first, 0), owner_of(term.effect)
+    if isinstance(law, AbstractOutputEffect):
         return {"force": record.input_units[0], "length": record.output_units[first]}
-    at_input = isinstance(term.effect, AbstractInputEffect) or term.effect.places == "input"
+    at_input = isinstance(law, AbstractInputEffect) or law.places == "input"
     output = min(first, record.outputs - 1)
     return {
         "force": record.input_units[first if at_input else min(first, record.inputs - 1)],
@@ -142,7 +143,7 @@ def model_of(candidate: Candidate, like: MechanicalModel, setup: Setup) -> Mecha
         output_names=like.output_names,
         input_units=like.input_units,
         output_units=like.output_units,
-        effects=candidate.terms,
+        effects=completed(candidate, setup.own).terms,
     )
 
 

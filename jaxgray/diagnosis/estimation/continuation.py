@@ -153,7 +153,9 @@ def at_the_same_steps(context: SearchContext, fit: Refit) -> Refit:
 def integration_error(context: SearchContext, fit: Refit) -> float:
     """How far the free run on the first record moves with steps half as long, relative to what the fit leaves: root
     mean square over the outputs."""
-    if not any(isinstance(term.effect, AbstractForceEffect) for term in fit.candidate.terms):
+    if not any(
+        isinstance(term.effect, AbstractForceEffect) for term in context.simulator.completed(fit.candidate).terms
+    ):
         return 0.0
     data, simulator, steps = context.data[0], context.simulator, context.simulator.substeps
     simulator.substeps = 2 * steps

@@ -52,7 +52,7 @@ def along_measured_motion(context: SearchContext, stage: Stage, score: Score, *,
     """
     term = score.shape.term(score.weights)
     on_motion = isinstance(term.effect, AbstractForceEffect) and term.effect.places != "input" and not term.effect.onset
-    scheduled = any(t.effect.scheduled for t in (*stage.candidate.terms, term))
+    scheduled = any(t.effect.scheduled for t in (*context.simulator.completed(stage.candidate).terms, term))
     if not on_motion or scheduled or len(context.data) > 1:
         return None
     data = context.data[0]

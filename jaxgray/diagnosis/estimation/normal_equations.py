@@ -76,7 +76,7 @@ class Equations:
     def moved_or_at_rest(self, candidate: Candidate) -> Candidate:
         """The candidate, or the same at rest at first where that is nearer to the records: no slope leads from a moving
         state to one that dry friction holds."""
-        if not any(isinstance(term.effect, AbstractForceEffect) for term in candidate.terms):
+        if not any(isinstance(term.effect, AbstractForceEffect) for term in self.simulator.completed(candidate).terms):
             return candidate
         rest = Candidate(candidate.entries, tuple(np.zeros_like(x0) for x0 in candidate.x0), candidate.terms)
         return rest if self.cost(rest) < self.cost(candidate) else candidate

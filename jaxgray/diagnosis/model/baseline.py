@@ -1,5 +1,6 @@
 """Where the diagnosis begins: the linear fit, or the user's own model, on the record."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,11 +9,11 @@ from ...identification import Identification
 from ...identification.setup.preparation import scaling_of
 from ...identification.setup.structure import Structure
 from ...identification.setup.units import Scaling
-from ...mechanics.abstract_model import effect_names
 from ...mechanics.model import MechanicalModel
 from ...mechanics.simulate import initial_state
 from ...records import Record
 from .candidate import Candidate, Setup
+from .own_laws import laws_of
 
 ADOPTED = "residual of the final model"
 """Source of a noise floor where the record has none that owes nothing to a model."""
@@ -20,19 +21,21 @@ ADOPTED = "residual of the final model"
 
 @dataclass(frozen=True)
 class Baseline:
-    """`model`; `setup`; `start`: the model with the first state of every record; `own`: whether it is the user's."""
+    """`model`; `setup`; `start`: the model with the first state of every record; `own`: whether it is the user's;
+    `left_out`: which of its laws are not taken, and why."""
 
     model: MechanicalModel
     setup: Setup
     start: Candidate
     own: bool
+    left_out: tuple[str, ...] = ()
 
 
 def baseline_of(
     records: list[Record], identification: Identification | None, model: MechanicalModel | None
 ) -> Baseline:
     """The baseline of an identification, whose fixed entries stay fixed, or of a model of the user's own, whose entries
-    all do.
+    and laws all do.
 
     The first states are those that go with a constant output offset; the offset itself stays in the residual, where
     it is a finding.
@@ -41,31 +44,29 @@ def baseline_of(
 
     **Raises:** `ValueError` when the user's model does not go with the record.
     """
-    own = model is not None
+    own, laws, left_out = model is not None, (), ()
     if own:
-        if model.effects:
-            raise ValueError(
-                f"model has effects ({effect_names(model)}), and a diagnosis begins with a linear model; give "
-                "dataclasses.replace(model, effects=())."
-            )
         first = records[0]
         if (model.inputs, model.dofs) != (first.inputs, first.outputs):
             raise ValueError(
                 f"model has {model.inputs} inputs and {model.dofs} coordinates, the record {first.inputs} inputs and "
                 f"{first.outputs} outputs; give the model that belongs to the record."
             )
+        laws, left_out = laws_of(model, first)
+        model = dataclasses.replace(model, effects=laws)
         scaling, structure = scaling_of(records), Structure()
     else:
         model, scaling, structure = identification.model, identification.scaling, identification.structure
     setup = _setup(model, scaling, structure, records[0])
     entries = setup.entries_of(model.mass, model.damping, model.stiffness)
     fixed = np.ones(len(entries), bool) if own else identification.fixed
-    setup = _setup(model, scaling, structure, records[0], fixed)
+    setup = dataclasses.replace(_setup(model, scaling, structure, records[0], fixed), own=laws)
     states = []
     for record in records:
-        x0, _ = initial_state(model, record.u, record.y, record.sampling_time, hold=record.hold)
+        more = {"hold": record.hold, "scheduling": record.scheduling}
+        x0, _ = initial_state(model, record.u, record.y, record.sampling_time, **more)
         states.append(x0)
-    return Baseline(model, setup, Candidate(entries, tuple(states)), own)
+    return Baseline(model, setup, Candidate(entries, tuple(states)), own, left_out)
 
 
 def _setup(model: MechanicalModel, scaling: Scaling, structure: Structure, record: Record, held=None) -> Setup:

@@ -80,7 +80,8 @@ class Setup:
     """What stays as it is while candidates are tried.
 
     `drive` and `measured` in the record's units; `scaling` and `structure` of the linear parameters; `held`: entries of
-    the joined blocks that do not move; `input_names`, `output_names`.
+    the joined blocks that do not move; `input_names`, `output_names`; `own`: laws of the user's own model, which act
+    in every candidate.
     """
 
     drive: AbstractDrive
@@ -90,6 +91,7 @@ class Setup:
     held: Bool[np.ndarray, " entries"]
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
+    own: tuple[Term, ...] = ()
 
     @property
     def dofs(self) -> int:

@@ -21,6 +21,7 @@ from ...numerics.backend import cores
 from ...numerics.stored_programs import keeps_programs
 from ...records import Record
 from .candidate import Candidate, Data, Setup
+from .own_laws import laws_of
 from .simulator import Simulator, law_table
 
 USUAL = 2
@@ -76,12 +77,12 @@ def expected(
     """
     record = records[0]
     if model is None:
-        drive, structure = drive_by(record, options), structure_of(options.get("structure"))
+        drive, structure, own = drive_by(record, options), structure_of(options.get("structure")), ()
     else:
-        drive, structure = model.drive, Structure()
+        drive, structure, own = model.drive, Structure(), laws_of(model, record)[0]
     names, scaling = (record.input_names, record.output_names), scaling_of(records)
     structure = structure.scaled(np.asarray(scaling.coordinates))
-    setup = Setup(drive, record.measured, scaling, structure, np.zeros(0, bool), *names)
+    setup = Setup(drive, record.measured, scaling, structure, np.zeros(0, bool), *names, own=own)
     blocks = structure.blocks(*(np.eye(setup.dofs),) * 3, lift=0.0)
     return Simulator(setup, laws), Candidate(np.asarray(join(blocks)), (np.zeros(2 * setup.dofs),) * len(records))
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.effects.base import AbstractForceEffect
 from .candidate import Candidate, Data
 from .parameter_vector import state_step
 from .reversals import decided_residual
@@ -51,14 +50,14 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
     size = np.sqrt(np.mean(data.y[: data.samples] ** 2, axis=0))
     size = np.where(size > 0, size, 1.0)
 
-    def at(model: Candidate, x0) -> tuple[float, Candidate]:
+    def at(model: Candidate, x0, simulator: Simulator = simulator) -> tuple[float, Candidate]:
         here = Candidate(model.entries, (x0,), model.terms)
         with np.errstate(over="ignore", invalid="ignore"):
             cost = float(np.sum((np.where(head, data.y - simulator.run(here, data), 0.0) / size) ** 2))
         return cost if np.isfinite(cost) else np.inf, here
 
-    def descended(model: Candidate, x0, most: int) -> tuple[float, Candidate]:
-        cost, here = at(model, x0)
+    def descended(model: Candidate, x0, most: int, simulator: Simulator = simulator) -> tuple[float, Candidate]:
+        cost, here = at(model, x0, simulator)
         for _ in range(most):
             y, J = simulator.run_and_jacobian(here, data)
             e = np.where(head, data.y - y, 0.0)
@@ -66,7 +65,7 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
             if not (np.all(np.isfinite(e)) and np.all(np.isfinite(slopes[head]))):
                 break
             change = state_step(e, slopes, head, size)
-            trials = (at(model, here.x0[0] + factor * change) for factor in SHORTENED)
+            trials = (at(model, here.x0[0] + factor * change, simulator) for factor in SHORTENED)
             found = next((trial for trial in trials if trial[0] < cost * (1 - 1e-6)), None)
             if found is None:
                 break
@@ -75,9 +74,9 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
 
     rest = np.zeros(states)
     ends = [descended(candidate, rest, steps)]
-    plain = candidate.with_terms(t for t in candidate.terms if not isinstance(t.effect, AbstractForceEffect))
-    if len(plain.terms) < len(candidate.terms):
-        ends.append(descended(candidate, descended(plain, rest, 1)[1].x0[0], steps))
+    bare = simulator.without_forces(candidate)
+    if bare is not None:
+        ends.append(descended(candidate, descended(bare[1], rest, 1, bare[0])[1].x0[0], steps))
     here = min(ends, key=lambda end: end[0])[1]
     y = simulator.run(here, data)
     e, _ = decided_residual(simulator, here, data, y)

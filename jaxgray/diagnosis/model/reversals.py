@@ -45,7 +45,7 @@ def undecided(
 
     **Arguments:** as for `decided_residual`; `e`: residual, zero where missing.
     """
-    jumping = [term for term in candidate.terms if term.effect.jumps]
+    jumping = [term for term in simulator.completed(candidate).terms if term.effect.jumps]
     if not jumping or not bounded(e):
         return None
     accelerated = np.array([kind == "acceleration" for kind in simulator.setup.measured])

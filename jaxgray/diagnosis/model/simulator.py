@@ -5,6 +5,7 @@ stage is compiled once for all laws that remember as much.
 """
 
 import bisect
+import dataclasses
 
 import equinox as eqx
 import jax
@@ -26,6 +27,7 @@ from ...mechanics.model import MechanicalModel
 from ...mechanics.tangents import Directions, run_and_tangents
 from ...numerics.stored_programs import OFTEN, ONCE, stored
 from .candidate import Candidate, Data, Setup, estimated, of_record
+from .own_laws import columns_of, completed
 
 RUN_AWAY = 1e3
 """Motion in the padding, relative to that in the record, beyond which it counts as none."""
@@ -197,7 +199,20 @@ class Simulator:
 
     def plant(self, candidate: Candidate) -> Plant:
         """The plant of a candidate, with its matrix terms."""
-        return self._plant(candidate)[0]
+        return self._plant(self.completed(candidate))[0]
+
+    def completed(self, candidate: Candidate) -> Candidate:
+        """A candidate with the laws of the user's own model among its terms, first."""
+        return completed(candidate, self.setup.own)
+
+    def without_forces(self, candidate: Candidate) -> tuple["Simulator", Candidate] | None:
+        """What simulates a candidate without the forces of its laws, and that candidate; None where it has none."""
+        full = self.completed(candidate)
+        plain = full.with_terms(t for t in full.terms if not isinstance(t.effect, AbstractForceEffect))
+        if len(plain.terms) == len(full.terms):
+            return None
+        setup = dataclasses.replace(self.setup, own=())
+        return Simulator(setup, self.laws, substeps=self.substeps), plain
 
     def _inputs(self, candidate: Candidate, data: Data):
         terms = _only(candidate.terms, AbstractInputEffect)
@@ -211,7 +226,7 @@ class Simulator:
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
         """Outputs of a candidate on one record, and on in the padding unless they run away there."""
-        candidate = _acting(candidate, record)
+        candidate = _acting(self.completed(candidate), record)
         y = self._run(candidate, data, record)[0][:, : self.setup.dofs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
@@ -220,7 +235,7 @@ class Simulator:
 
     def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Displacements and velocities of all coordinates on one record, and on in the padding likewise."""
-        candidate = _acting(candidate, record)
+        candidate = _acting(self.completed(candidate), record)
         q, v = self._run(candidate, data, record)[1:]
         return _ended(data, q), _ended(data, v)
 
@@ -248,9 +263,29 @@ class Simulator:
         self, candidate: Candidate, data: Data, record: int = 0
     ) -> tuple[Float[np.ndarray, "samples outputs"], Float[np.ndarray, "samples outputs parameters"]]:
         """Outputs, and their Jacobian by entries, this record's first state and the estimated values of all terms."""
+        return self.run_and_slopes(candidate, data, record)[:2]
+
+    def run_and_slopes(
+        self, candidate: Candidate, data: Data, record: int = 0
+    ) -> tuple[
+        Float[np.ndarray, "samples outputs"],
+        Float[np.ndarray, "samples outputs parameters"],
+        Float[np.ndarray, "samples outputs numbers"],
+    ]:
+        """As `run_and_jacobian`, and the Jacobian by the numbers of the laws of the user's own model, in the order of
+        `own_laws.parameter_errors`."""
+        y, J = self._run_and_jacobian(self.completed(candidate), data, record)
+        if not self.setup.own:
+            return y, J, J[:, :, :0]
+        mine, own = columns_of(candidate, self.setup.own)
+        first = len(candidate.entries) + 2 * self.setup.dofs
+        before, by_terms = J[:, :, :first], J[:, :, first:]
+        return y, np.concatenate([before, by_terms[:, :, mine]], axis=2), by_terms[:, :, own]
+
+    def _run_and_jacobian(self, candidate: Candidate, data: Data, record: int) -> tuple[np.ndarray, np.ndarray]:
         acting = of_record(candidate, record)
         if not all(acting):
-            y, J = self.run_and_jacobian(_acting(candidate, record), data, record)
+            y, J = self._run_and_jacobian(_acting(candidate, record), data, record)
             counts = [len(estimated(term)) for term in candidate.terms]
             linear = J.shape[2] - sum(count for count, on in zip(counts, acting) if on)
             moves = np.repeat([True, *acting], [linear, *counts])

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.effects.base import AbstractEffect
+from ...mechanics.effects.base import AbstractEffect, Place, Term
 from ...mechanics.extended import Plant, input_matrix_of
 from ...mechanics.statespace import StateSpace, sampled
 from ...numerics.stored_programs import ONCE, stored
 from ..model.candidate import Candidate, Data
+from ..model.own_laws import AbstractParameterError, wrong_number
 from ..model.reversals import decided_residual
 from ..model.simulator import Simulator
 from ..noise.smoother import smoothed_states
 from ..noise.whitening import NoiseModel, counted, estimate_noise_model
-from .features import Features, Motion, features
+from .features import Features, Motion, Shape, features
 from .scales import scales_at
 from .score_test import Screening, screen
 from .spectral_lines import lines_of
@@ -26,7 +27,8 @@ class Stage:
     """A model on the estimation record: residual, sensitivities and the means to look further.
 
     `candidate`; `e`, `J`; `plant`; `system`: sampled, outputs that are measured; `force`: mean square of each input;
-    `motion`: simulated; `ruled_out`: effects and places that are not looked for.
+    `motion`: simulated; `ruled_out`: effects and places that are not looked for; `own`: laws of the user's own model,
+    `slopes`: sensitivities to their numbers.
     """
 
     candidate: Candidate
@@ -37,22 +39,25 @@ class Stage:
     force: Float[np.ndarray, " inputs"]
     motion: Motion
     ruled_out: frozenset = frozenset()
+    own: tuple[Term, ...] = ()
+    slopes: Float[np.ndarray, "samples outputs numbers"] | None = None
 
     @property
     def taken(self) -> frozenset:
         """Effects and places that are in the model."""
-        return frozenset((t.effect.id, t.place.name) for t in self.candidate.terms)
+        return frozenset((t.effect.id, t.place.name) for t in (*self.own, *self.candidate.terms))
 
 
 def stage_of(simulator: Simulator, candidate: Candidate, data: Data, record: int = 0) -> Stage:
     """Simulate a candidate and gather what a round needs."""
-    y, J = simulator.run_and_jacobian(candidate, data, record)
-    e, J = decided_residual(simulator, candidate, data, y, J, record)
+    y, J, slopes = simulator.run_and_slopes(candidate, data, record)
+    e, both = decided_residual(simulator, candidate, data, y, np.concatenate([J, slopes], axis=2), record)
+    J, slopes = np.split(both, [J.shape[2]], axis=2)
     plant = simulator.plant(candidate)
     q, v = simulator.motion(candidate, data, record)
     system = sampled_plant(plant, data, simulator.setup.dofs)
     force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
-    return Stage(candidate, e, J, plant, system, force, Motion(q, v, y))
+    return Stage(candidate, e, J, plant, system, force, Motion(q, v, y), own=simulator.setup.own, slopes=slopes)
 
 
 @stored(level=ONCE)
@@ -100,7 +105,22 @@ def screen_smoothed(
 def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Features:
     inputs, outputs = names
     scales = scales_at(stage.plant, motion, data, inputs, outputs, lines_of(stage.e, data))
-    return features(stage.plant, motion, data, catalogue, scales, inputs, outputs, stage.taken | stage.ruled_out)
+    errors = [effect for effect in catalogue if isinstance(effect, AbstractParameterError)]
+    others = tuple(effect for effect in catalogue if not isinstance(effect, AbstractParameterError))
+    known = stage.taken | stage.ruled_out
+    made = features(stage.plant, motion, data, others, scales, inputs, outputs, known)
+    shapes, columns = [], []
+    for k, effect in enumerate(errors):
+        owner = stage.own[effect.at[0]].place
+        place = Place(wrong_number(effect, stage.own), owner.first, owner.second)
+        if (effect.id, place.name) not in known:
+            one = np.ones(1)
+            shapes.append(Shape(effect, place, one, (one,), scales["coordinate", outputs[0]], len(errors)))
+            columns.append(k)
+    if not shapes:
+        return made
+    responses = np.concatenate([made.responses, np.moveaxis(stage.slopes[:, :, columns], 2, 0)])
+    return Features((*made.shapes, *shapes), responses)
 
 
 _measured: "weakref.WeakKeyDictionary[Stage, tuple[Data, Motion]]" = weakref.WeakKeyDictionary()

@@ -10,7 +10,7 @@ from ...mechanics.drives import Force
 from ...numerics.text import listed
 from .. import settings
 from ..findings import DiagnosisFields, Finding, Gain, ParameterShift
-from .titles import parameters_text, place_of, title_of, value_text
+from .titles import number_of, parameters_text, place_of, title_of, value_text
 
 MANY = 4.0
 """Ratio of an entry to what it should be from which a sentence says how many times it is."""
@@ -18,7 +18,9 @@ MANY = 4.0
 UNLIKELY = 1000.0
 """Change of an entry [%] from which it says more of a small entry than of a large change."""
 
-MODEL_ERRORS = {"mass_error": "mass", "damping_error": "damping", "stiffness_error": "stiffness"}
+ENTRIES = {"mass_error": "mass", "damping_error": "damping", "stiffness_error": "stiffness"}
+
+MODEL_ERRORS = (*ENTRIES, "parameter_error")
 
 
 def verdict_sentence(diagnosis: DiagnosisFields) -> str:
@@ -123,7 +125,8 @@ def _causes(diagnosis: DiagnosisFields, causes: list[Finding]) -> list[str]:
 
 def _correction(finding: Finding, names: tuple[str, ...]) -> str:
     """How an entry that was given should change."""
-    what = f"the {MODEL_ERRORS[finding.effect]} {place_of(finding.location, names)}"
+    what = number_of(finding.effect, finding.location, names)
+    what = f"the {ENTRIES[finding.effect]} {place_of(finding.location, names)}" if what is None else what
     delta = finding.parameters.get("delta")
     if delta is None:
         return f"{what} is wrong"

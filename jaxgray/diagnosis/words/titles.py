@@ -52,6 +52,7 @@ NAMES = {
     "mass_error": "wrong mass",
     "damping_error": "wrong damping",
     "stiffness_error": "wrong stiffness",
+    "parameter_error": "wrong number",
     "sensor_clipping": "sensor clipping",
     "sensor_quantization": "sensor quantization",
     "outliers": "outliers",
@@ -93,7 +94,18 @@ def place_of(location: str, names: tuple[str, ...] = ()) -> str:
 
 def title_of(effect: str, location: str, names: tuple[str, ...] = ()) -> str:
     """Name and place: "Coulomb friction at y1"."""
+    if (number := number_of(effect, location, names)) is not None:
+        return f"wrong {number}"
     return f"{name_of(effect)} {place_of(location, names)}".strip()
+
+
+def number_of(effect: str, location: str, names: tuple[str, ...] = ()) -> str | None:
+    """A wrong number of a law in words, "Fc of Coulomb friction at y1"; None for other effects."""
+    if effect != "parameter_error" or not location:
+        return None
+    number, _, rest = location.partition(" of ")
+    law, _, place = rest.partition(" at ")
+    return f"{number} of {title_of(law, place, names)}"
 
 
 def value_text(value, error, unit: str = "", *, digits: int = 2) -> str:
