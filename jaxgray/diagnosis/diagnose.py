@@ -56,7 +56,7 @@ from .search.forward import recount
 from .search.long_records import Searched, search
 from .search.modal_restart import from_other_modes
 from .search.state import SearchState
-from .starts.user_model import identified
+from .starts.user_model import identified, with_first_states
 
 FORCES = (*(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect)), KnownForce())
 
@@ -183,6 +183,7 @@ def _of_clean_records(
     )
     if model is not None:
         context = dataclasses.replace(context, identified=identified(context.simulator, records, context.data, options))
+        baseline = with_first_states(context, baseline)
     errors = MODEL_ERRORS + parameter_errors(baseline.setup.own) if baseline.own else ()
     state, searched = search(context, baseline, max_effects, errors=errors)
     if identification is not None:

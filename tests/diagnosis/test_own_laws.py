@@ -116,6 +116,7 @@ def test_a_wrong_number_of_a_law_is_found_and_mended(rubbing, tmp_path):
     np.testing.assert_allclose(export.load(path).effects[0].values, mended.values)
 
 
+@pytest.mark.slow
 def test_a_model_with_the_right_law_lacks_nothing(rubbing):
     case, law = rubbing
     diagnosis = diagnosed(case, model=made(case, law), only=FEW)

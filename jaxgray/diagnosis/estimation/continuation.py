@@ -122,6 +122,8 @@ def with_sharp_edge(context: SearchContext, fit: Refit) -> Refit:
 
 def _sharp(context: SearchContext, candidate: Candidate) -> Candidate:
     """The candidate with the edge of its last term, a force that begins at once, as steep as `EDGE_STEPS` follow."""
+    if not candidate.terms:
+        return candidate
     term, width = candidate.terms[-1], context.data[0].sampling_time / EDGE_STEPS
     if not term.effect.onset or not isinstance(term.effect, AbstractForceEffect) or width_of(term) <= width:
         return candidate

@@ -19,13 +19,15 @@ from ...numerics.outcomes import ComputationError
 from ...records import Record
 from .. import settings
 from ..estimation.context import Identified, SearchContext
+from ..estimation.continuation import in_short_steps
 from ..estimation.gauss_newton import refit
 from ..estimation.normal_equations import Equations
+from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
 from ..model.parameter_vector import Layout
 from ..model.simulator import Simulator
 from ..noise.whitening import white_noise_model
-from ..screening.linearization import Stage, sampled_plant
+from ..screening.linearization import Stage, sampled_plant, stage_of
 from ..screening.score_test import Score, Screening
 
 COUNT = 3
@@ -51,6 +53,19 @@ def identified(simulator: Simulator, records: list[Record], data: list[Data], op
     candidate = Candidate(entries, x0)
     e = np.where(data[0].kept, data[0].y - simulator.run(candidate, data[0]), 0.0)
     return _informed(simulator, data, candidate, e)
+
+
+def with_first_states(context: SearchContext, baseline: Baseline) -> Baseline:
+    """A baseline with laws, its first states those that bring its free runs nearest to the records, in steps as short
+    as every candidate takes. The same one without laws."""
+    if not baseline.setup.own:
+        return baseline
+    stage = stage_of(context.simulator, baseline.start, context.data[0])
+    white = white_noise_model(stage.e, context.data[0].kept, stage.system)
+    fit = refit(context.simulator, baseline.start, context.data, white, held=context.held)
+    if fit is None:
+        return baseline
+    return dataclasses.replace(baseline, start=in_short_steps(context, fit)[0].candidate)
 
 
 def _informed(simulator: Simulator, data: list[Data], candidate: Candidate, e: np.ndarray) -> Identified | None:
