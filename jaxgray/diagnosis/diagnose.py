@@ -46,7 +46,7 @@ from .model.candidate import Data
 from .model.compile_ahead import compiling_ahead
 from .model.free_run import FreeRun, overall
 from .model.held_out_gain import gain_of
-from .model.own_laws import laws_of, parameter_errors
+from .model.own_laws import laws_of, owner_of, parameter_errors
 from .model.simulator import Simulator, steps_of
 from .noise.floor import independent_floor, residual_rms
 from .result import Diagnosis
@@ -160,7 +160,7 @@ def _of_clean_records(
             return dataclasses.replace(identification, findings=outliers + identification.findings)
     anew: tuple[str, ...] = ()
     if separate:
-        plain = identification.model if model is None else model
+        plain = identification.model if model is None else lasting(model, records[0])
         from_zero, anew = from_own_zeros(records + held, plain)
         records, held = from_zero[: len(records)], from_zero[len(records) :]
     baseline = baseline_of(records, identification, model)
@@ -220,6 +220,11 @@ def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:
 
     wanted, unwanted = ids("only", only), ids("exclude", exclude) or set()
     return tuple(e for e in catalogue if (wanted is None or e.id in wanted) and e.id not in unwanted)
+
+
+def lasting(model: MechanicalModel, record: Record) -> MechanicalModel:
+    """A given model without the effects that belong to the clock of one record."""
+    return dataclasses.replace(model, effects=laws_of(model, record)[0])
 
 
 def wrong_numbers(model: MechanicalModel, record: Record) -> tuple[AbstractEffect, ...]:
@@ -352,9 +357,8 @@ def _depends_on(state: SearchState) -> tuple[str, ...]:
     }
     for score in list(state.screening.best_by_effect().values())[:3]:
         if score.delta_bic > 0 and score.shape.effect.id != FlexibleForce.id:
-            words.append(
-                f"{families.get(score.shape.effect.family, score.shape.effect.family)} ({score.shape.place.name})"
-            )
+            family = owner_of(score.shape.effect).family
+            words.append(f"{families.get(family, family)} ({score.shape.place.name})")
     return tuple(dict.fromkeys(words))
 
 

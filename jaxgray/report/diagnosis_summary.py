@@ -93,7 +93,7 @@ def _summary(summary: ModelSummary) -> dict:
 
 def _extended(diagnosis: Diagnosis) -> dict:
     made = _summary(diagnosis.extended) | {"gain": _gain(diagnosis.gain)}
-    made["model"]["effects"] = [term_document(term) for term in diagnosis.terms]
+    made["model"]["effects"] = [term_document(term) for term in diagnosis.extended.model.effects or diagnosis.terms]
     return made
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import pickle
 
 import hidden
 import numpy as np
@@ -9,14 +10,18 @@ import pytest
 from found import SAMPLES, check_parameter, diagnosed, generator, model_findings, records_of
 
 import jaxgray
+from jaxgray.diagnosis.estimation.significance import at_bound
 from jaxgray.diagnosis.model.baseline import baseline_of
-from jaxgray.diagnosis.model.candidate import Data
-from jaxgray.diagnosis.model.own_laws import corrected_laws, laws_of, parameter_errors, wrong_number
+from jaxgray.diagnosis.model.candidate import Candidate, Data, estimated
+from jaxgray.diagnosis.model.own_laws import columns_of, corrected_laws, laws_of, parameter_errors, wrong_number
 from jaxgray.diagnosis.model.simulator import Simulator
+from jaxgray.diagnosis.screening.features import Shape
+from jaxgray.diagnosis.screening.score_test import allowed
 from jaxgray.diagnosis.words.titles import title_of
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
 from jaxgray.report import export
+from jaxgray.report.diagnosis_summary import diagnosis_document
 
 FEW = ("coulomb_friction", "cubic_stiffness", "input_delay", "actuator_lag", "quadratic_drag")
 
@@ -28,6 +33,13 @@ def term(name, place, first, *values, second=-1):
 def made(case, *effects):
     """The package's model of a case's system, with laws."""
     return dataclasses.replace(jaxgray.MechanicalModel(case.system.M, case.system.D, case.system.K), effects=effects)
+
+
+@dataclasses.dataclass
+class FakeFit:
+    """As much of a refit as its bounds ask for."""
+
+    candidate: Candidate
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +98,29 @@ def test_derivatives_by_the_numbers_of_a_law_are_those_of_the_run(baseline):
     assert J.shape[2] == len(found.start.entries) + 4 + 3 and slopes.shape[2] == 2
 
 
+def test_entries_are_corrected_before_laws_act_as_in_a_model_that_is_saved(baseline):
+    own = (term("unmodelled_mode", "y1", 0, *np.full(len(by_id("unmodelled_mode").parameters), 0.3)),)
+    error = term("mass_error", "y1", 0, 0.1)
+    delay = term("input_delay", "u1", 0, 0.01)
+    acting = corrected_laws(own, (delay, error))
+    assert [one.effect.id for one in acting] == ["mass_error", "unmodelled_mode", "input_delay"]
+    candidate = baseline[1].start.with_terms((delay, error))
+    count = len(estimated(own[0]))
+    mine, numbers = columns_of(candidate, own)
+    assert mine == [1 + count, 0] and numbers == list(range(1, 1 + count))
+
+
+def test_a_law_that_was_given_and_is_not_there_lies_at_no_bound(baseline):
+    own = baseline[1].setup.own
+    (friction, _) = parameter_errors(own)
+    shape = Shape(friction, Place(wrong_number(friction, own), 0), np.ones(1), (np.ones(1),), None, 1)
+    assert allowed(shape, np.array([-2.0 * float(own[0].values[0])])) and not allowed(shape, np.zeros(1))
+    gone = baseline[1].start.with_terms((Term(friction, shape.place, np.array([-float(own[0].values[0])])),))
+    wider = baseline[1].start.with_terms((term("stribeck_friction", "y1", 0, 0.0, 0.5, 0.1, 1e-6),))
+    assert at_bound(FakeFit(gone), 0, own) is None
+    assert at_bound(FakeFit(wider), 0, own) is None and at_bound(FakeFit(wider), 0) == "Fc"
+
+
 def test_laws_take_the_places_of_the_record_and_leave_the_clock_of_another_behind(rubbing):
     case, law = rubbing
     (record, _) = records_of(case)
@@ -111,9 +146,16 @@ def test_a_wrong_number_of_a_law_is_found_and_mended(rubbing, tmp_path):
     assert mended.effect.id == "coulomb_friction" and abs(mended.values[0] / true - 1) < 0.02
     path = tmp_path / "mended.json"
     jaxgray.save(diagnosis, path)
-    (written,) = json.loads(path.read_text())["effects"]
-    assert written["effect"] == "coulomb_friction"
     np.testing.assert_allclose(export.load(path).effects[0].values, mended.values)
+    # The document of the whole result is a model, too: the law with the number that was mended, no error of it.
+    path.write_text(json.dumps(diagnosis_document(diagnosis), allow_nan=False))
+    (again,) = export.load(path).effects
+    assert again.effect.id == "coulomb_friction"
+    np.testing.assert_allclose(again.values, mended.values)
+    jaxgray.write_report(diagnosis, tmp_path / "out.html")
+    assert "wrong Fc of Coulomb friction at y1" in (tmp_path / "out.html").read_text()
+    (term,) = pickle.loads(pickle.dumps(diagnosis.terms))
+    assert term.effect.owner.id == "coulomb_friction" and term.effect is diagnosis.terms[0].effect
 
 
 @pytest.mark.slow
@@ -121,3 +163,23 @@ def test_a_model_with_the_right_law_lacks_nothing(rubbing):
     case, law = rubbing
     diagnosis = diagnosed(case, model=made(case, law), only=FEW)
     assert diagnosis.verdict == "noise" and not model_findings(diagnosis), str(diagnosis)
+
+
+@pytest.mark.slow
+def test_a_model_with_one_coordinate_more_is_judged():
+    case = hidden.random_case(
+        generator("own mode"), "unmodelled_mode", dofs=(2,), samples=SAMPLES, excess=(8.0, 12.0), place="y1"
+    )
+    (effect,) = case.effects
+    law = by_id("unmodelled_mode")
+    mode = Term(law, Place("y1", 0), np.array([effect.parameters[p.name] for p in law.parameters]))
+    own = made(case, mode)
+    stiffness = np.array(own.stiffness)
+    stiffness[1, 1] *= 1.05
+    own = own.with_matrices(own.mass, own.damping, stiffness)
+    diagnosis = diagnosed(case, model=own, only=(*FEW, "unmodelled_mode"))
+    (finding,) = model_findings(diagnosis)
+    assert (finding.effect, finding.location) == ("stiffness_error", "y2"), str(diagnosis)
+    check_parameter(finding.parameters["delta"], -stiffness[1, 1] * 0.05 / 1.05, "delta", str(diagnosis))
+    kinds = [one.effect.id for one in diagnosis.extended.model.effects]
+    assert kinds == ["stiffness_error", "unmodelled_mode"]

@@ -110,7 +110,7 @@ class _Equation:
         inner = (series.a @ M.T + series.v @ D.T + series.q @ K.T)[series.rows]
         laws = {
             (t.effect.id, t.place.name): contribution(t.effect, t.place, t.values, series, E)
-            for t in diagnosis.terms
+            for t in model.effects or diagnosis.terms
             if _is_force(t)
         }
         return cls(diagnosis, series, E, series.input_rows @ E.T - inner, laws)

@@ -18,7 +18,7 @@ from .. import settings
 def from_own_zeros(records: list[Record], model: MechanicalModel) -> tuple[list[Record], tuple[str, ...]]:
     """The records, each without its own zero where zeros are far apart.
 
-    **Arguments:** `records` of one system; `model`: linear, by whose free runs the zeros are found.
+    **Arguments:** `records` of one system; `model`: by whose free runs the zeros are found.
 
     **Returns:** the records, the same objects where nothing was taken off, and a warning for every output that has
     zeros of its own.
@@ -27,7 +27,9 @@ def from_own_zeros(records: list[Record], model: MechanicalModel) -> tuple[list[
     motion = np.max([np.nanstd(r.y, axis=0) for r in records], axis=0)
     if not np.any(np.ptp(means, axis=0) > settings.MAX_OFFSET * motion):
         return records, ()
-    zeros = np.array([initial_state(model, r.u, r.y, r.sampling_time, hold=r.hold)[1] for r in records])
+    zeros = np.array(
+        [initial_state(model, r.u, r.y, r.sampling_time, hold=r.hold, scheduling=r.scheduling)[1] for r in records]
+    )
     apart = np.ptp(zeros, axis=0) > settings.MAX_OFFSET * motion
     warnings = tuple(_warning(records[0], k, zeros[:, k]) for k in np.flatnonzero(apart))
     taken_off = [dataclasses.replace(r, y=r.y - np.where(apart, zero, 0.0)) for r, zero in zip(records, zeros)]

@@ -147,7 +147,7 @@ def _outright(
         if criterion > best + settings.MAX_CRITERION_GAP:
             rejected.append(Rejected.of(name, score.delta_bic, dominated(criterion - best)))
             continue
-        bound = at_bound(fit, len(fit.candidate.terms) - 1)
+        bound = at_bound(fit, len(fit.candidate.terms) - 1, context.simulator.setup.own)
         if bound is not None and criterion > best:
             rejected.append(Rejected.of(name, score.delta_bic, at_its_bound(bound)))
             continue

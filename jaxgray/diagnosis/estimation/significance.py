@@ -4,7 +4,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ...identification.refinement.conic import pseudo_inverse
+from ...mechanics.effects.base import Term
 from ..model.candidate import Data
+from ..model.own_laws import AbstractParameterError
 from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel, counted
 from .gauss_newton import Refit
@@ -65,14 +67,18 @@ def significance(fit: Refit, layout: Layout, term: int, *, given_shape: bool = F
     return max(best, float((np.cbrt(max(wald, 0.0) / len(at)) - 1 + part) / np.sqrt(part)))
 
 
-def at_bound(fit: Refit, term: int) -> str | None:
-    """The parameter of a term that lies at a physical bound, None where none does.
+def at_bound(fit: Refit, term: int, given: tuple[Term, ...] = ()) -> str | None:
+    """The parameter of a term that lies at a physical bound, None where none does; `given`: laws of the user's model.
 
-    What a simpler law at the same place has taken upon itself is no bound of the wider one: their sum is inside.
+    What a simpler law at the same place has taken upon itself is no bound of the wider one: their sum is inside. Nor is
+    it one where a law that was given is found not to be there.
     """
     own = fit.candidate.terms[term]
     effect, values = own.effect, np.array(own.values, dtype=float)
-    inside = [t.effect for t in fit.candidate.terms if t.place == own.place and t.effect.id in effect.contains]
+    if isinstance(effect, AbstractParameterError) and effect.owner.parameters[effect.at[1]].amplitude:
+        return None
+    others = (*given, *fit.candidate.terms)
+    inside = [t.effect for t in others if t.place == own.place and t.effect.id in effect.contains]
     taken = {parameter.name for simpler in inside for parameter in simpler.parameters}
     for k, parameter in enumerate(effect.parameters):
         if not parameter.counts or not (np.isfinite(parameter.lower) or np.isfinite(parameter.upper)):

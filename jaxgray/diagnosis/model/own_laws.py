@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...mechanics.effects import MODEL_ERRORS
 from ...mechanics.effects.base import AbstractEffect, Parameter, Term, places_of
 from .candidate import Candidate, estimated
 
@@ -18,7 +19,7 @@ from .candidate import Candidate, estimated
 class AbstractParameterError(AbstractEffect):
     """A wrong number of a law that a given model has: p → p + Δ.
 
-    `law`: the effect whose number it is; `at`: which law of the model, and which of its parameters.
+    `owner`: the law whose number it is; `at`: which law of the model, and which of its parameters; `value`: as given.
     """
 
     id = "parameter_error"
@@ -29,16 +30,26 @@ class AbstractParameterError(AbstractEffect):
     places = "law"
     owner: ClassVar[AbstractEffect]
     at: ClassVar[tuple[int, int]]
+    value: ClassVar[float]
 
     def shapes(self, scales):
         return [np.ones(1)]
 
+    def __reduce__(self):
+        return _parameter_error, (self.owner, self.at, self.value)
 
-@functools.cache
+
+@functools.lru_cache(maxsize=1024)
 def _parameter_error(owner: AbstractEffect, at: tuple[int, int], value: float) -> AbstractParameterError:
     parameter = owner.parameters[at[1]]
     delta = Parameter("delta", parameter.unit, parameter.lower - value, parameter.upper - value, amplitude=True)
-    return type("ParameterError", (AbstractParameterError,), {"parameters": (delta,), "owner": owner, "at": at})()
+    known = {"parameters": (delta,), "owner": owner, "at": at, "value": value}
+    return type("ParameterError", (AbstractParameterError,), known)()
+
+
+def told_apart(name: tuple[str, str]) -> str | tuple[str, str]:
+    """What candidates of one kind share, by effect and place: the effect; every wrong number is a kind of its own."""
+    return name if name[0] == AbstractParameterError.id else name[0]
 
 
 def parameter_errors(own: tuple[Term, ...]) -> tuple[AbstractParameterError, ...]:
@@ -65,37 +76,42 @@ def owner_of(effect: AbstractEffect) -> AbstractEffect:
 
 
 def corrected_laws(own: tuple[Term, ...], terms: Iterable[Term]) -> tuple[Term, ...]:
-    """All laws that act: those of the model, with the numbers that some terms correct, then the other terms."""
-    values, others = [np.array(term.values, dtype=float) for term in own], []
+    """All terms that act: corrections of entries, which a model that is saved has in its matrices; the laws of the
+    model, with the numbers that some terms correct; the other terms."""
+    values, entries, others = [np.array(term.values, dtype=float) for term in own], [], []
     for term in terms:
         if isinstance(term.effect, AbstractParameterError):
             k, j = term.effect.at
             values[k][j] += float(term.values[0])
         else:
-            others.append(term)
-    return (*(Term(t.effect, t.place, t.effect.bounded(v)) for t, v in zip(own, values)), *others)
+            (entries if term.effect in MODEL_ERRORS else others).append(term)
+    return (*entries, *(Term(t.effect, t.place, t.effect.bounded(v)) for t, v in zip(own, values)), *others)
 
 
 def completed(candidate: Candidate, own: tuple[Term, ...]) -> Candidate:
-    """A candidate with the laws of the given model among its terms, first."""
+    """A candidate with the laws of the given model among its terms."""
     return candidate.with_terms(corrected_laws(own, candidate.terms)) if own else candidate
 
 
 def columns_of(candidate: Candidate, own: tuple[Term, ...]) -> tuple[list[int], list[int]]:
     """Where the values of a candidate's terms, and those of the model's own laws, stand among the values of the
     completed candidate's terms."""
+    corrections = sum(len(estimated(term)) for term in candidate.terms if term.effect in MODEL_ERRORS)
     counts = [len(estimated(term)) for term in own]
-    starts = np.concatenate([[0], np.cumsum(counts)]).astype(int)
-    mine, after = [], int(starts[-1])
+    starts = corrections + np.concatenate([[0], np.cumsum(counts)]).astype(int)
+    mine, entry, other = [], 0, int(starts[-1])
     for term in candidate.terms:
+        count = len(estimated(term))
         if isinstance(term.effect, AbstractParameterError):
             k, j = term.effect.at
             mine.append(int(starts[k]) + estimated(own[k]).index(j))
+        elif term.effect in MODEL_ERRORS:
+            mine += range(entry, entry + count)
+            entry += count
         else:
-            count = len(estimated(term))
-            mine += range(after, after + count)
-            after += count
-    return mine, list(range(int(starts[-1])))
+            mine += range(other, other + count)
+            other += count
+    return mine, list(range(corrections, int(starts[-1])))
 
 
 def laws_of(model, record) -> tuple[tuple[Term, ...], tuple[str, ...]]:

@@ -202,7 +202,7 @@ class Simulator:
         return self._plant(self.completed(candidate))[0]
 
     def completed(self, candidate: Candidate) -> Candidate:
-        """A candidate with the laws of the user's own model among its terms, first."""
+        """A candidate with the laws of the user's own model among its terms."""
         return completed(candidate, self.setup.own)
 
     def without_forces(self, candidate: Candidate) -> tuple["Simulator", Candidate] | None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect, AbstractMatrixEffect
 from .. import settings
+from ..model.own_laws import told_apart
 from .flexible_force import FlexibleForce
 from .score_test import Score, Screening, best_by_place
 
@@ -29,13 +30,13 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
     chosen: dict[tuple[str, str], list[Score]] = {}
 
     def add(ranking, count):
-        ids = {key[0] for key in chosen}
+        ids = {told_apart(key) for key in chosen}
         for key, score in ranking.items():
             if count == 0 or score.delta_bic < settings.MIN_DELTA_BIC:
                 return
-            if key in chosen or key[0] in ids or key[0] == FlexibleForce.id:
+            if key in chosen or told_apart(key) in ids or key[0] == FlexibleForce.id:
                 continue
-            ids.add(key[0])
+            ids.add(told_apart(key))
             chosen[key] = []
             count -= 1
 

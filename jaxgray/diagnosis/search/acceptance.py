@@ -46,7 +46,8 @@ class Evidence(AbstractEvidence):
         return _is_feedback(self.context, self.state, self.attempt)
 
     def bound(self):
-        return at_bound(self.attempt.fit, len(self.attempt.fit.candidate.terms) - 1)
+        fit, given = self.attempt.fit, self.context.simulator.setup.own
+        return at_bound(fit, len(fit.candidate.terms) - 1, given)
 
     def other_law(self):
         return unresolved(self.attempt.fit, self.attempt.score)

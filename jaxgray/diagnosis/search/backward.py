@@ -110,7 +110,8 @@ def _simplify(context: SearchContext, state: SearchState) -> None:
     known = {effect.id: effect for effect in context.catalogue}
     for k, accepted in enumerate(state.accepted):
         term = state.fit.candidate.terms[k]
-        inside = {t.effect.id for t in state.fit.candidate.terms if t.place == term.place}
+        there = context.simulator.completed(state.fit.candidate).terms
+        inside = {t.effect.id for t in there if t.place == term.place}
         for simpler in (known[name] for name in term.effect.contains if name in known and name not in inside):
             values = dict(zip((p.name for p in term.effect.parameters), np.array(term.values, dtype=float)))
             # The width over which a sign turns is nothing where the law with more in it has none.

@@ -214,7 +214,7 @@ def _accepted(
             words = f"coloured noise could do the same, and no more than {gain.ci99_lower:.0f} % is a sure gain"
             why = Refusal(Reason.NO_SURE_GAIN, words)
         if why is None:
-            rivals, refused = _class_of(attempt, unsure + ranked[k + 1 :])
+            rivals, refused = _class_of(context, attempt, unsure + ranked[k + 1 :])
             # What was refused for its error alone, and explains as much or more, may be it all the same.
             names = {rival.name for rival in rivals}
             state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names] + refused
@@ -244,7 +244,7 @@ def _provisional(context: SearchContext, state: SearchState, ranked: list[Attemp
     floor = floor_of(context, ranked)
     for k, attempt in enumerate(ranked):
         if attempt.delta_bic > settings.CLEAR_DELTA_BIC and unsound(Evidence(context, state, attempt, floor)) is None:
-            rivals, free = _class_of(attempt, ranked[k + 1 :])[0], refit_for_free_run(context, state, attempt)
+            rivals, free = _class_of(context, attempt, ranked[k + 1 :])[0], refit_for_free_run(context, state, attempt)
             why, gain, runs = tested(context, state, free, floor)
             if why is None:
                 _take(context, state, Accepted(free, rivals, gain, runs, Move.WITH_ANOTHER))
@@ -254,9 +254,11 @@ def _provisional(context: SearchContext, state: SearchState, ranked: list[Attemp
     return False
 
 
-def _class_of(attempt: Attempt, others: list[Attempt]) -> tuple[tuple[Attempt, ...], list[Rejected]]:
+def _class_of(
+    context: SearchContext, attempt: Attempt, others: list[Attempt]
+) -> tuple[tuple[Attempt, ...], list[Rejected]]:
     """What the record hardly tells from an attempt, among those that were refitted with it, and why not the rest."""
-    rivals, refused = [], []
+    rivals, refused, given = [], [], context.simulator.setup.own
     for other in others:
         behind = other.criterion - attempt.criterion
         if behind <= -alike(attempt, other):
@@ -267,7 +269,7 @@ def _class_of(attempt: Attempt, others: list[Attempt]) -> tuple[tuple[Attempt, .
         elif needless(other, attempt):
             words = f"the same as {attempt.name[0]} with a parameter that explains nothing"
             why = Refusal(Reason.NEEDLESS, words)
-        elif (bound := at_bound(other.fit, len(other.fit.candidate.terms) - 1)) is not None:
+        elif (bound := at_bound(other.fit, len(other.fit.candidate.terms) - 1, given)) is not None:
             why = at_its_bound(bound)
         elif (other_law := unresolved(other.fit, other.score)) is not None:
             why = Refusal(Reason.OTHER_LAW, other_law)

@@ -10,6 +10,7 @@ from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
 from ..estimation.profile_scan import predictable
 from ..findings import Reason, Rejected
+from ..model.own_laws import told_apart
 from ..noise.whitening import estimate_noise_model, white_noise_model
 from ..screening.linearization import Stage, screen_simulated, screen_smoothed
 from ..screening.score_test import Screening
@@ -107,9 +108,9 @@ def without_failed(
     context: SearchContext, state: SearchState, searched, screening: Screening, ranked: list[Attempt]
 ) -> tuple[Screening, Screening] | None:
     """The gate and the ranking without laws that were refitted and do not hold; None where nothing else is seen."""
-    failed = {attempt.name[0] for attempt in ranked}
-    shapes = (score.shape for score in screening.scores)
-    gone = frozenset((s.effect.id, s.place.name) for s in shapes if s.effect.id in failed)
+    failed = {told_apart(attempt.name) for attempt in ranked}
+    names = ((score.shape.effect.id, score.shape.place.name) for score in screening.scores)
+    gone = frozenset(name for name in names if told_apart(name) in failed)
     stage = dataclasses.replace(state.stage, ruled_out=state.ruled_out | gone)
     screening = screen_simulated(stage, context.data[0], searched, context.names, rng=context.rng)
     return (screening, closer_screening(context, stage, screening)) if screening.fires else None

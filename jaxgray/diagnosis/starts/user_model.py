@@ -14,7 +14,9 @@ from ...identification.refinement.conic import pseudo_inverse
 from ...mechanics.drives import Force
 from ...mechanics.effects import MODEL_ERRORS
 from ...mechanics.effects.base import AbstractEffect
+from ...mechanics.extended import Plant, changed_plant
 from ...mechanics.simulate import initial_state
+from ...numerics.bounded import bounded
 from ...numerics.outcomes import ComputationError
 from ...records import Record
 from .. import settings
@@ -38,7 +40,7 @@ STEPS = 20
 
 
 def identified(simulator: Simulator, records: list[Record], data: list[Data], options: dict) -> Identified | None:
-    """The model that the records themselves give, inputs acting where they do in the user's; None where there is none.
+    """The model that the records themselves give, its inputs and laws those of the user's; None where there is none.
 
     **Arguments:** `simulator` of the user's model; `records`, and as `data`; `options` of `identify`.
     """
@@ -52,6 +54,16 @@ def identified(simulator: Simulator, records: list[Record], data: list[Data], op
     x0 = tuple(initial_state(found.model, r.u, r.y, r.sampling_time, hold=r.hold)[0] for r in records)
     candidate = Candidate(entries, x0)
     e = np.where(data[0].kept, data[0].y - simulator.run(candidate, data[0]), 0.0)
+    if not bounded(e):
+        return None
+    if simulator.setup.own:
+        # The linear model had taken the laws upon itself.
+        system = sampled_plant(simulator.plant(candidate), data[0], simulator.setup.dofs)
+        white, free = white_noise_model(e, data[0].kept, system), np.zeros(len(entries), bool)
+        fit = refit(simulator, candidate, data, white, held=free, max_steps=STEPS)
+        if fit is None:
+            return None
+        candidate, e = fit.candidate, fit.residual[0]
     return _informed(simulator, data, candidate, e)
 
 
@@ -109,7 +121,10 @@ def wrong_entries(
     found = context.identified
     if found is None:
         return []
-    setup, plant = context.simulator.setup, context.simulator.plant(stage.candidate)
+    setup, corrections = context.simulator.setup, [t for t in stage.candidate.terms if _is_entry(t.effect)]
+    # As given and corrected, without what laws make of them.
+    plant = Plant(*setup.matrices(stage.candidate.entries), setup.drive, setup.measured)
+    plant = changed_plant(plant, tuple(corrections))
     matrices = tuple(np.asarray(X) for X in (plant.mass, plant.damping, plant.stiffness))
     here = setup.entries_of(*matrices)
     ranked = []

@@ -1,5 +1,7 @@
 """Readable names: of effects and places, and of what was estimated."""
 
+import re
+
 from ...numerics.text import plus_minus
 from ..findings import Estimate
 
@@ -63,6 +65,10 @@ NAMES = {
 """What an effect is called in a sentence."""
 
 
+_NUMBER = re.compile(r"^(\S+) of (\w+) at (.+)$")
+"""A number of a law as the place of a finding."""
+
+
 def name_of(effect: str) -> str:
     """What an effect is called in a sentence, from its id."""
     return NAMES.get(effect, effect.replace("_", " "))
@@ -80,6 +86,8 @@ def place_of(location: str, names: tuple[str, ...] = ()) -> str:
         return ""
     if location == "record":
         return "in the record"
+    if (number := _NUMBER.match(location)) is not None:
+        return f"in {number[1]} of {title_of(number[2], number[3], names)}"
     if "->" in location:
         source, _, target = location.partition("->")
         return f"from {source} to {target}"
@@ -103,9 +111,7 @@ def number_of(effect: str, location: str, names: tuple[str, ...] = ()) -> str | 
     """A wrong number of a law in words, "Fc of Coulomb friction at y1"; None for other effects."""
     if effect != "parameter_error" or not location:
         return None
-    number, _, rest = location.partition(" of ")
-    law, _, place = rest.partition(" at ")
-    return f"{number} of {title_of(law, place, names)}"
+    return place_of(location, names).removeprefix("in ")
 
 
 def value_text(value, error, unit: str = "", *, digits: int = 2) -> str:
