@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..demonstration_effects import DEMONSTRATED
+from ..diagnosis.model.own_laws import ParameterError
 from ..diagnosis.words.titles import name_of
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS, AbstractEffect
 from ..report.catalogue import UNITS, catalogue_document, unit_pattern
@@ -209,18 +210,16 @@ def _errors(document: dict, shown: dict[str, str]) -> str:
     described = document["model_errors"]
     parts = [
         "# Errors of a given model",
-        "Where you bring your own model, single entries of its matrices may be wrong. A diagnosis tests that before "
-        "any law, and only there.",
+        "Where you bring your own model, single entries of its matrices may be wrong, and numbers of the effects that "
+        "it has. A diagnosis tests that before any law, and only there.",
         f"```sh\njaxgray diagnose record.csv {CHANNELS} --model model.json\n```",
-        "A model that has effects may have wrong numbers in them, too: such a finding is a `parameter_error` at a "
-        "place such as `Fc of coulomb_friction at y1`, with the Δ that has to be added.",
     ]
-    for effect, one in zip(MODEL_ERRORS, described, strict=True):
+    for effect, one in zip((*MODEL_ERRORS, ParameterError()), described, strict=True):
         parts += [
             f"## {_title(effect.id)}",
             f"`{effect.id}`. {_summary(effect)} It acts at {one['places_text']}. Told by: {effect.signature}.",
             _law(effect.law),
-            shown[effect.id],
+            *([shown[effect.id]] if effect.id in shown else []),
             _parameters(one),
             f"Reference: {effect.reference}.",
         ]

@@ -5,6 +5,7 @@ import textwrap
 import numpy as np
 from rich.console import Console
 
+from ..diagnosis.model.own_laws import ParameterError
 from ..diagnosis.words.titles import name_of
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS, RECORD_FINDINGS, AbstractEffect, Parameter
 
@@ -18,6 +19,7 @@ PLACES = {
     "output": "an output, y1",
     "record": "the whole record",
     "cross": "from a channel to an output, u1->y1",
+    "law": "a number of an effect, Fc of coulomb_friction at y1",
 }
 UNITS = "Of effects at an input, force stands for the unit of the input; of sensors, length for that of the output."
 ENTRIES = "an entry: diagonal y1, off-diagonal y1-y2"
@@ -45,7 +47,10 @@ def catalogue_document() -> dict:
     return {
         "schema": EFFECTS,
         "effects": [_effect(effect) for effect in CATALOGUE],
-        "model_errors": [_effect(effect) | {"places_text": ENTRIES} for effect in MODEL_ERRORS],
+        "model_errors": [
+            *(_effect(effect) | {"places_text": ENTRIES} for effect in MODEL_ERRORS),
+            _effect(ParameterError()),
+        ],
         "record_findings": [
             {"id": id, "name": name_of(id), "signature": signature} for id, signature in RECORD_FINDINGS.items()
         ],

@@ -10,6 +10,7 @@ from made_diagnosis import FRICTION, GAIN, diagnosis, equivalent, experiment, no
 from rich.console import Console
 
 from jaxgray.diagnosis.findings import Estimate, Finding, ParameterShift
+from jaxgray.diagnosis.model.own_laws import ParameterError
 from jaxgray.diagnosis.words.titles import NAMES, place_of, title_of, value_text
 from jaxgray.mechanics.effects import CATALOGUE, MODEL_ERRORS, RECORD_FINDINGS
 from jaxgray.report.catalogue import catalogue_document, show_catalogue, unit_pattern
@@ -39,7 +40,7 @@ def shown(made, **options):
 
 
 def test_every_effect_has_a_name():
-    ids = {effect.id for effect in CATALOGUE + MODEL_ERRORS} | set(RECORD_FINDINGS)
+    ids = {effect.id for effect in (*CATALOGUE, *MODEL_ERRORS, ParameterError)} | set(RECORD_FINDINGS)
     assert set(NAMES) == ids and len(set(NAMES.values())) == len(ids)
 
 

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from ...identification.refinement.conic import pseudo_inverse
 from ...mechanics.effects.base import Term
 from ..model.candidate import Data
-from ..model.own_laws import AbstractParameterError
+from ..model.own_laws import ParameterError
 from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel, counted
 from .gauss_newton import Refit
@@ -75,7 +75,7 @@ def at_bound(fit: Refit, term: int, given: tuple[Term, ...] = ()) -> str | None:
     """
     own = fit.candidate.terms[term]
     effect, values = own.effect, np.array(own.values, dtype=float)
-    if isinstance(effect, AbstractParameterError) and effect.owner.parameters[effect.at[1]].amplitude:
+    if isinstance(effect, ParameterError) and effect.owner.parameters[effect.at[1]].amplitude:
         return None
     others = (*given, *fit.candidate.terms)
     inside = [t.effect for t in others if t.place == own.place and t.effect.id in effect.contains]

@@ -16,17 +16,18 @@ from ...mechanics.effects.base import AbstractEffect, Parameter, Term, places_of
 from .candidate import Candidate, estimated
 
 
-class AbstractParameterError(AbstractEffect):
-    """A wrong number of a law that a given model has: p → p + Δ.
+class ParameterError(AbstractEffect):
+    """Wrong number of an effect that a model has which was given.
 
     `owner`: the law whose number it is; `at`: which law of the model, and which of its parameters; `value`: as given.
     """
 
     id = "parameter_error"
     family = "model errors"
-    law = "p -> p + delta"
-    signature = "a law of the model acts, with another number"
-    reference = "a number of the model that was given"
+    law = "number += delta, in the unit of the number"
+    parameters = (Parameter("delta", amplitude=True),)
+    signature = "residual like the derivative of the outputs by the number"
+    reference = "Ljung, System Identification, Prentice Hall 1999, §7.2"
     places = "law"
     owner: ClassVar[AbstractEffect]
     at: ClassVar[tuple[int, int]]
@@ -40,19 +41,19 @@ class AbstractParameterError(AbstractEffect):
 
 
 @functools.lru_cache(maxsize=1024)
-def _parameter_error(owner: AbstractEffect, at: tuple[int, int], value: float) -> AbstractParameterError:
+def _parameter_error(owner: AbstractEffect, at: tuple[int, int], value: float) -> ParameterError:
     parameter = owner.parameters[at[1]]
     delta = Parameter("delta", parameter.unit, parameter.lower - value, parameter.upper - value, amplitude=True)
     known = {"parameters": (delta,), "owner": owner, "at": at, "value": value}
-    return type("ParameterError", (AbstractParameterError,), known)()
+    return type("WrongNumber", (ParameterError,), known)()
 
 
 def told_apart(name: tuple[str, str]) -> str | tuple[str, str]:
     """What candidates of one kind share, by effect and place: the effect; every wrong number is a kind of its own."""
-    return name if name[0] == AbstractParameterError.id else name[0]
+    return name if name[0] == ParameterError.id else name[0]
 
 
-def parameter_errors(own: tuple[Term, ...]) -> tuple[AbstractParameterError, ...]:
+def parameter_errors(own: tuple[Term, ...]) -> tuple[ParameterError, ...]:
     """Effects that say which number of the laws of a model is wrong, one for every number that a fit could move."""
     return tuple(
         _parameter_error(term.effect, (k, j), float(term.values[j]))
@@ -72,7 +73,7 @@ def wrong_number(effect: AbstractEffect, own: tuple[Term, ...]) -> str:
 
 def owner_of(effect: AbstractEffect) -> AbstractEffect:
     """The law that an effect says something of: of a wrong number the law that has it, else the effect itself."""
-    return effect.owner if isinstance(effect, AbstractParameterError) else effect
+    return effect.owner if isinstance(effect, ParameterError) else effect
 
 
 def corrected_laws(own: tuple[Term, ...], terms: Iterable[Term]) -> tuple[Term, ...]:
@@ -80,7 +81,7 @@ def corrected_laws(own: tuple[Term, ...], terms: Iterable[Term]) -> tuple[Term, 
     model, with the numbers that some terms correct; the other terms."""
     values, entries, others = [np.array(term.values, dtype=float) for term in own], [], []
     for term in terms:
-        if isinstance(term.effect, AbstractParameterError):
+        if isinstance(term.effect, ParameterError):
             k, j = term.effect.at
             values[k][j] += float(term.values[0])
         else:
@@ -102,7 +103,7 @@ def columns_of(candidate: Candidate, own: tuple[Term, ...]) -> tuple[list[int], 
     mine, entry, other = [], 0, int(starts[-1])
     for term in candidate.terms:
         count = len(estimated(term))
-        if isinstance(term.effect, AbstractParameterError):
+        if isinstance(term.effect, ParameterError):
             k, j = term.effect.at
             mine.append(int(starts[k]) + estimated(own[k]).index(j))
         elif term.effect in MODEL_ERRORS:

@@ -11,7 +11,7 @@ from ...mechanics.extended import Plant, input_matrix_of
 from ...mechanics.statespace import StateSpace, sampled
 from ...numerics.stored_programs import ONCE, stored
 from ..model.candidate import Candidate, Data
-from ..model.own_laws import AbstractParameterError, wrong_number
+from ..model.own_laws import ParameterError, wrong_number
 from ..model.reversals import decided_residual
 from ..model.simulator import Simulator
 from ..noise.smoother import smoothed_states
@@ -105,8 +105,8 @@ def screen_smoothed(
 def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Features:
     inputs, outputs = names
     scales = scales_at(stage.plant, motion, data, inputs, outputs, lines_of(stage.e, data))
-    errors = [effect for effect in catalogue if isinstance(effect, AbstractParameterError)]
-    others = tuple(effect for effect in catalogue if not isinstance(effect, AbstractParameterError))
+    errors = [effect for effect in catalogue if isinstance(effect, ParameterError)]
+    others = tuple(effect for effect in catalogue if not isinstance(effect, ParameterError))
     known = stage.taken | stage.ruled_out
     made = features(stage.plant, motion, data, others, scales, inputs, outputs, known)
     shapes, columns = [], []

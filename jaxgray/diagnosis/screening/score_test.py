@@ -17,7 +17,7 @@ from ...identification.refinement.conic import pseudo_inverse
 from ...mechanics.effects.base import limits
 from .. import settings
 from ..model.candidate import Data
-from ..model.own_laws import AbstractParameterError
+from ..model.own_laws import ParameterError
 from ..noise.whitening import SETTLING, NoiseModel, estimate_noise_model, white_noise_model
 from .features import Features, Shape
 from .projections import Products
@@ -138,7 +138,7 @@ def allowed(shape: Shape, weights: np.ndarray) -> bool:
     """Whether the effect can be of this sign: some amplitude is left inside its physical bounds."""
     lower, upper, amplitudes = limits(type(shape.effect))
     values = shape.effect.combine(shape.values, weights)
-    if isinstance(shape.effect, AbstractParameterError):
+    if isinstance(shape.effect, ParameterError):
         # A law may be needless: then its size is wrong by all of it.
         return bool(np.any(values != 0.0))
     return not len(amplitudes) or bool(np.any((lower < values)[amplitudes] & (values < upper)[amplitudes]))
