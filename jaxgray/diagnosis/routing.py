@@ -9,6 +9,7 @@ import numpy as np
 
 from ..identification import Identification, identify
 from ..identification.setup.options import drive_by
+from ..identification.validation.structure_test import ROUNDING
 from ..mechanics.drives import AbstractDrive, Force
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..numerics.outcomes import RESULTS, ComputationError
@@ -25,6 +26,12 @@ from .noise.whitening import white_part
 from .result import Diagnosis
 
 Route = Literal["free run", "force equation", "static gain"]
+
+KNOTS, LEAST_KNOTS = 33, 9
+"""Ends of the straight pieces of a curve over the input; with fewer the input is no more than some levels."""
+
+NEIGHBOURS = 3
+"""Samples before and after, in which a motion that is not static shows."""
 
 NOT_MENDED = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_basis)
 """Failures of the linear fit that no other way mends."""
@@ -48,13 +55,18 @@ def begin(
     **Raises:** as `identify`.
     """
     identification = failure = None
+    drive = drive_by(records[0], options)
+    if _of_displacements(records, drive) and all(map(is_static_curve, records)):
+        rng = np.random.default_rng(seed)
+        return static_diagnosis(
+            records, held, drive, catalogue, max_effects, identification=None, rng=rng, progress=progress
+        )
     try:
         identification = identify(records, validation=held, progress=progress.unlimited, **options)
     except ComputationError as error:
         failure = error
         if any(error.result == one for one in NOT_MENDED) or not any(np.any(record.u) for record in records):
             raise
-    drive = drive_by(records[0], options)
     rng = np.random.default_rng(seed)
     route = route_of(records, identification, drive)
     if route == "static gain":
@@ -159,8 +171,7 @@ def route_of(records: list[Record], identification: Identification | None, drive
 
     **Returns:** "free run", "force equation" or "static gain".
     """
-    displacement = all(kind == "displacement" for kind in records[0].measured)
-    if displacement and isinstance(drive, Force) and all(map(is_single_sine, records)) and all(map(is_static, records)):
+    if _of_displacements(records, drive) and all(map(is_single_sine, records)) and all(map(is_static, records)):
         return "static gain"
     if not isinstance(drive, Force) or "acceleration" in records[0].measured:
         return "free run"
@@ -218,6 +229,44 @@ def _refined(x: np.ndarray, frequency: float) -> float:
                 least, best = float(e @ e), f
         frequency, width = best, width / 4
     return least
+
+
+def _of_displacements(records: list[Record], drive: AbstractDrive) -> bool:
+    return isinstance(drive, Force) and all(kind == "displacement" for kind in records[0].measured)
+
+
+def is_static_curve(record: Record) -> bool:
+    """Whether the outputs are a curve over the one input, as far as the record shows: one that what the input was
+    before, or will be, makes no better. Then it says nothing of mass and damping."""
+    if record.inputs != 1 or not np.ptp(record.u) > 0 or not is_static(record):
+        return False
+    u, away = record.u[:, 0], range(1, NEIGHBOURS + 1)
+    knots = np.unique(np.quantile(u, np.linspace(0, 1, KNOTS)))
+    if len(knots) < LEAST_KNOTS:
+        return False
+    over = np.maximum(u[:, None] - knots[None, :-1], 0.0)
+    before = [u - np.concatenate([np.full(k, u[0]), u[:-k]]) for k in away]
+    after = [u - np.concatenate([u[k:], np.full(k, u[-1])]) for k in away]
+    curve = np.concatenate([np.ones((record.samples, 1)), over], axis=1)
+    both = np.concatenate([curve, np.stack([*before, *after], axis=1)], axis=1)
+    for y in record.y.T:
+        known = np.isfinite(y)
+        alone, more = (_left(table[known], y[known]) for table in (curve, both))
+        # The ends of the pieces may stand beside a kink: what that leaves is no memory.
+        if not alone > 0.0:
+            continue
+        gain = known.sum() * np.log(alone / max(more, 1e-300)) - 2 * NEIGHBOURS * np.log(known.sum())
+        if gain > settings.MIN_DELTA_BIC:
+            return False
+    return True
+
+
+def _left(table: np.ndarray, y: np.ndarray) -> float:
+    """Mean square that a least-squares fit leaves, 0 where it is rounding."""
+    size = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
+    e = y - (table / size) @ np.linalg.lstsq(table / size, y, rcond=1e-10)[0]
+    left = float(e @ e) / len(y)
+    return left if left > (ROUNDING * np.max(np.abs(y))) ** 2 else 0.0
 
 
 def is_static(record: Record) -> bool:

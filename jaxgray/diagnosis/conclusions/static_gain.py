@@ -5,13 +5,15 @@ import numpy as np
 from ...identification import Identification
 from ...identification.validation.residuals import fit_of
 from ...mechanics.drives import AbstractDrive, Force
-from ...mechanics.effects.base import AbstractEffect
+from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect
 from ...mechanics.model import MechanicalModel
 from ...numerics.progress import AbstractProgress
 from ...records import Record
+from .. import settings
 from ..data_checks.record_findings import noise_findings
 from ..findings import Curves, Finding, Member, ModelSummary, Move
-from ..model.free_run import overall, rms_of
+from ..model.free_run import FreeRun, overall, rms_of
+from ..noise.effective_samples import independent_share
 from ..result import Diagnosis
 from ..static_gain.regression import StaticFit
 from ..static_gain.search import search_static
@@ -31,12 +33,12 @@ def static_diagnosis(
 ) -> Diagnosis:
     """What a static gain gets wrong on records without information on inertia.
 
-    **Arguments:** `records`, `held`: to fit, and to judge; `drive`; `catalogue`: of which the input effects are tried;
-    `max_effects`; `identification`: the linear fit, None where there was none; `rng`; `progress`.
+    **Arguments:** `records`, `held`: to fit, and to judge; `drive`; `catalogue`: of which input effects and springs are
+    tried; `max_effects`; `identification`: the linear fit, None where there was none; `rng`; `progress`.
 
     **Returns:** a `Diagnosis` whose model has no mass and no damping.
     """
-    search = search_static(records, held, catalogue, max_effects, rng=rng, progress=progress)
+    search = search_static(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
     base, fit, base_runs, runs, taken = search.base, search.fit, search.base_runs, search.runs, search.taken
     strong = search.strong
     record, names = records[0], records[0].output_names
@@ -75,9 +77,12 @@ def static_diagnosis(
     warnings = (
         "The record says nothing of inertia: decided on a static gain; its model has no mass and no damping, and must "
         "not be used for other frequencies.",
-        "At one frequency hysteresis differs from a delay or lag by the shape of the loop alone; repeat the record at "
-        "another frequency to be sure.",
     )
+    if any(isinstance(term.effect, AbstractInputEffect) for term in fit.terms):
+        warnings += (
+            "At one frequency hysteresis differs from a delay or lag by the shape of the loop alone; repeat the record "
+            "at another frequency to be sure.",
+        )
     noise = noise_findings(record, runs[0][0].e)
     curves = []
     for held_out, group in enumerate((records, held)):
@@ -93,7 +98,7 @@ def static_diagnosis(
         gain=search.gain_over(base_runs, runs, floor) if taken else None,
         excess=overall(rms_of(runs[0]), floor),
         baseline_excess=overall(rms_of(base_runs[0]), floor),
-        white=False,
+        white=_is_white(runs[0]),
         explainable=None,
         depends_on=("the history of the input",) if verdict in ("partly", "unexplained") else (),
         rejected=tuple(search.rejected),
@@ -109,6 +114,12 @@ def static_diagnosis(
         terms=fit.terms,
         own_model=False,
     )
+
+
+def _is_white(runs: list[FreeRun]) -> bool:
+    """Whether nearly all samples of what is left are independent of one another."""
+    shares = [independent_share(run.e[run.kept.all(axis=1)]) for run in runs]
+    return min(shares) >= settings.WHITE_INNOVATIONS
 
 
 def _model(fit: StaticFit, record: Record, drive: AbstractDrive) -> MechanicalModel:

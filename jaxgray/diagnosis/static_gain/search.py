@@ -1,19 +1,24 @@
-"""The diagnosis of records that say nothing of inertia: effects at the inputs of a static gain (`selection.py`)."""
+"""The diagnosis of records that say nothing of inertia: effects at the inputs of a static gain, and springs
+(`selection.py`)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...identification.validation.structure_test import ROUNDING
-from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Scales, Term, places_of
+from ...mechanics.drives import AbstractDrive, Force
+from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Place, Scales, Term, places_of
+from ...mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ...numerics.progress import AbstractProgress
 from ...records import Record
+from .. import settings
 from ..acceptance import bound_of
 from ..model.candidate import estimated
 from ..model.free_run import FreeRun, rms_of
 from ..noise.effective_samples import independent_share
 from ..selection import AbstractSelection, AbstractTrial
 from .regression import Static, StaticFit
+from .springs import is_spring
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,14 @@ class Trial(AbstractTrial):
 
     def other_law(self):
         return self.term.effect.unresolved(np.asarray(self.term.values, float), self.scales)
+
+    def by_contact(self) -> tuple[str, str]:
+        """The name that its contact gives a law with a gap: backlash where it is left in more than half of the samples,
+        an end stop where in fewer; of other laws their own."""
+        if self.name[0] not in settings.CONTACT:
+            return self.name
+        often = float(self.term.values[1]) < self.scales.q_quantiles[0]
+        return (DeadZoneStiffness if often else EndStop).id, self.name[1]
 
     def explained(self):
         return 1 - self.fit.cost / self.without.cost
@@ -51,7 +64,7 @@ class StaticSearch(AbstractSelection):
 
     problem: Static
     later: Static
-    effects: tuple[AbstractInputEffect, ...]
+    effects: tuple[AbstractEffect, ...]
 
     def run(self, fit):
         return self.problem.run(fit), self.later.run(fit)
@@ -68,30 +81,46 @@ class StaticSearch(AbstractSelection):
                     self.progress.stage(f"refitting {effect.id} at {place.name}")
                     trial = _trial(self.problem, self.fit, effect, place, len(places))
                     trials += [] if trial is None else [trial]
-        return sorted(trials, key=lambda trial: -trial.delta_bic)
+        names = {trial.name for trial in trials}
+        return sorted((t for t in trials if t.by_contact() not in names - {t.name}), key=lambda t: -t.delta_bic)
 
 
 def search_static(
     records: list[Record],
     held: list[Record],
+    drive: AbstractDrive,
     catalogue: tuple[AbstractEffect, ...],
     max_effects: int,
     *,
     rng: np.random.Generator,
     progress: AbstractProgress,
 ) -> StaticSearch:
-    """The effects at the inputs of a static gain that explain the records.
+    """The effects at the inputs of a static gain, and the springs, that explain the records.
 
-    **Arguments:** `records`, `held`: to fit, and to judge; `catalogue`: of which the input effects are tried;
+    **Arguments:** `records`, `held`: to fit, and to judge; `drive`; `catalogue`: of which input effects are tried, and
+    springs where every coordinate has an input;
     `max_effects`; `rng`; `progress`.
     """
     progress.unlimited.stage("fitting a static gain")
+    inverse = _inverse(drive)
+    problem, later = Static(records, inverse), Static(held, inverse)
     effects = tuple(e for e in catalogue if isinstance(e, AbstractInputEffect))
-    data = {"records": records, "held": held, "problem": Static(records), "later": Static(held)}
+    if inverse is not None:
+        at_first = problem.displacements(Place(records[0].output_names[0], 0))
+        effects += tuple(e for e in catalogue if is_spring(e, at_first))
+    data = {"records": records, "held": held, "problem": problem, "later": later}
     search = StaticSearch(**data, effects=effects, rng=rng, progress=progress)
     search.base = search.fit = search.problem.fit(())
     search.select(max_effects)
     return search
+
+
+def _inverse(drive: AbstractDrive) -> np.ndarray | None:
+    """Which inputs are a force at each coordinate; None where not every coordinate has one."""
+    if not isinstance(drive, Force):
+        return None
+    E = np.asarray(drive.input_map, dtype=float)
+    return np.linalg.inv(E) if E.shape[0] == E.shape[1] and np.linalg.matrix_rank(E) == len(E) else None
 
 
 def _is_rounding(runs: list[FreeRun], records: list[Record]) -> bool:
@@ -102,12 +131,12 @@ def _is_rounding(runs: list[FreeRun], records: list[Record]) -> bool:
 
 def _trial(problem: Static, before: StaticFit, effect: AbstractEffect, place, places: int) -> Trial | None:
     """A candidate refitted from all its shapes, one of so many places; None where none is finite."""
-    best, scales = None, problem.scales(place)
+    at_input = isinstance(effect, AbstractInputEffect)
+    best, scales = None, problem.scales(place) if at_input else problem.displacements(place)
     shapes = effect.shapes(scales)
     for values in shapes:
-        start = np.array(values, float)
-        start[[p.amplitude for p in effect.parameters]] *= 0.1
-        made = problem.fit((*before.terms, Term(effect, place, effect.bounded(start))))
+        start = problem.with_first_sizes(before, Term(effect, place, np.array(values, float)))
+        made = problem.fit((*before.terms, start))
         if made is not None and (best is None or made.cost < best.cost):
             best = made
     if best is None:
