@@ -164,6 +164,12 @@ class Fake:
     def run(self, candidate, data, k=0):
         return self._y(candidate, k)
 
+    def completed(self, candidate):
+        return candidate
+
+    def without_forces(self, candidate):
+        return None
+
     def run_and_jacobian(self, candidate, data, k=0):
         x = candidate.x0[k]
         return self._y(candidate, k), self.rows * (1 + 0.4 * x)

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from ...mechanics.effects.base import AbstractForceEffect, Place, Scales, Term
 from ...mechanics.extended import held_input
+from ...numerics.bounded import bounded
 from ...numerics.stored_programs import stored
 from ...records import Record
 from ..model.candidate import estimated
@@ -190,7 +191,7 @@ class Static:
         e, J = [], []
         for record, kept in zip(self.records, self.kept):
             y, slopes = self._simulated(*point, record)
-            if not (np.all(np.isfinite(y)) and np.all(np.isfinite(slopes))):
+            if not bounded(y, slopes):
                 return None
             e.append(((np.nan_to_num(record.y) - y) / self.size)[kept])
             J.append((slopes / self.size[:, None])[kept])
