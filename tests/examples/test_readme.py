@@ -8,6 +8,10 @@ import sys
 import pytest
 from shown import ROOT
 
+from jaxgray.demonstration import SAMPLES
+from jaxgray.demonstration_effects import simulated
+from jaxgray.report.columns import columns_text, record_columns
+
 PAGES = ROOT / "jaxgray" / "manual" / "pages"
 README = ROOT / "README.md"
 
@@ -62,7 +66,10 @@ def test_the_readme_is_read_in_five_minutes():
 def test_the_readmes_python_runs_as_it_stands(tmp_path):
     (code,) = blocks(README, "python")
     assert len(code.strip().splitlines()) <= 20
-    command("jaxgray demo --out demo --quiet", tmp_path)
+    # As `jaxgray demo --out demo` writes them.
+    (tmp_path / "demo").mkdir()
+    for name, record in zip(("estimation", "validation"), simulated("coulomb_friction", 1, SAMPLES)):
+        (tmp_path / "demo" / f"{name}.csv").write_text(columns_text(record_columns(record)), encoding="utf-8")
     printed = python(code, folder=tmp_path)
     number = float(re.search(r"Fc = ([\d.]+) ±", printed)[1])
     assert printed.startswith("[[ 5.0") and abs(number - 0.2) < 0.003
