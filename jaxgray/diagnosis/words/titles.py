@@ -87,7 +87,7 @@ def place_of(location: str, names: tuple[str, ...] = ()) -> str:
     if location == "record":
         return "in the record"
     if (number := _NUMBER.match(location)) is not None:
-        return f"in {number[1]} of {title_of(number[2], number[3], names)}"
+        return f"at {number[1]} of {title_of(number[2], number[3], names)}"
     if "->" in location:
         source, _, target = location.partition("->")
         return f"from {source} to {target}"
@@ -111,7 +111,7 @@ def number_of(effect: str, location: str, names: tuple[str, ...] = ()) -> str | 
     """A wrong number of a law in words, "Fc of Coulomb friction at y1"; None for other effects."""
     if effect != "parameter_error" or not location:
         return None
-    return place_of(location, names).removeprefix("in ")
+    return place_of(location, names).removeprefix("at ")
 
 
 def value_text(value, error, unit: str = "", *, digits: int = 2) -> str:
