@@ -74,7 +74,7 @@ def curve(
             return jax.jacfwd(residual, argnums=1)(theta, y, u)
 
         def newton(_, y):
-            return y - jnp.linalg.solve(slope(y), residual(theta, y, u))
+            return y - _solved(slope(y), residual(theta, y, u))
 
         free = offset + gain @ u
         y = jax.lax.fori_loop(0, STEPS, newton, free)
@@ -84,9 +84,14 @@ def curve(
         by_offset, by_gain, by_values = by_theta
         parts = [by_offset, by_gain.reshape(len(y), -1), *by_values]
         A = slope(y)
-        return y, -jnp.linalg.solve(A, jnp.concatenate(parts, axis=1)), -jnp.linalg.solve(A, by_input)
+        return y, -_solved(A, jnp.concatenate(parts, axis=1)), -_solved(A, by_input)
 
     return jax.vmap(at)(u)
+
+
+def _solved(A, b):
+    """A⁻¹ b; of one equation without the call of LAPACK that takes longer than all else."""
+    return b / A[0, 0] if len(A) == 1 else jnp.linalg.solve(A, b)
 
 
 def arm_at(term: Term, outputs: int) -> Float[np.ndarray, " outputs"]:
