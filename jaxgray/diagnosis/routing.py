@@ -252,8 +252,8 @@ def is_static_curve(record: Record) -> bool:
     for y in record.y.T:
         known = np.isfinite(y)
         alone, more = (_left(table[known], y[known]) for table in (curve, both))
-        # The ends of the pieces may stand beside a kink: what that leaves is no memory.
         if not alone > 0.0:
+            # Rounding is all that the curve leaves.
             continue
         gain = known.sum() * np.log(alone / max(more, 1e-300)) - 2 * NEIGHBOURS * np.log(known.sum())
         if gain > settings.MIN_DELTA_BIC:

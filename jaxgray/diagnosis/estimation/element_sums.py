@@ -91,7 +91,9 @@ def at_fewer_thresholds(context: SearchContext, fit: Refit, *, max_steps: int, t
     elements = elements_of(term.effect)
     noise_model = noise_model_of(context, fit) if elements else None
     # What else is missing could pass for noise that hides a threshold. At a bound an element is out already.
-    if noise_model is None or something_left(noise_model) or at_bound(fit, len(fit.candidate.terms) - 1) is not None:
+    if noise_model is None or something_left(noise_model):
+        return fit
+    if at_bound(fit, len(fit.candidate.terms) - 1, context.simulator.setup.own) is not None:
         return fit
     options = {"held": context.held, "max_steps": max_steps, "tolerance": tolerance}
     whole = refit(context.simulator, fit.candidate, context.data, noise_model, **options)

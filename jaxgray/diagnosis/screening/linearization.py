@@ -11,7 +11,7 @@ from ...mechanics.extended import Plant, input_matrix_of
 from ...mechanics.statespace import StateSpace, sampled
 from ...numerics.stored_programs import ONCE, stored
 from ..model.candidate import Candidate, Data
-from ..model.own_laws import ParameterError, wrong_number
+from ..model.own_laws import ParameterError, parameter_errors, wrong_number
 from ..model.reversals import decided_residual
 from ..model.simulator import Simulator
 from ..noise.smoother import smoothed_states
@@ -109,14 +109,14 @@ def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Fea
     others = tuple(effect for effect in catalogue if not isinstance(effect, ParameterError))
     known = stage.taken | stage.ruled_out
     made = features(stage.plant, motion, data, others, scales, inputs, outputs, known)
-    shapes, columns = [], []
-    for k, effect in enumerate(errors):
+    shapes, columns, column = [], [], {error.at: k for k, error in enumerate(parameter_errors(stage.own))}
+    for effect in errors:
         owner = stage.own[effect.at[0]].place
         place = Place(wrong_number(effect, stage.own), owner.first, owner.second)
         if (effect.id, place.name) not in known:
             one = np.ones(1)
             shapes.append(Shape(effect, place, one, (one,), scales["coordinate", outputs[0]], len(errors)))
-            columns.append(k)
+            columns.append(column[effect.at])
     if not shapes:
         return made
     responses = np.concatenate([made.responses, np.moveaxis(stage.slopes[:, :, columns], 2, 0)])

@@ -48,7 +48,7 @@ class StaticFit:
     def criterion(self, share: float) -> float:
         """BIC of this fit with a given share of independent samples."""
         count = self.count * share
-        return count * float(np.log(self.cost)) + self.free * float(np.log(max(count, 2.0)))
+        return count * float(np.log(max(self.cost, 1e-300))) + self.free * float(np.log(max(count, 2.0)))
 
     def term_errors(self, index: int, share: float) -> dict[int, float]:
         """Standard errors of one term's parameters, by position."""
