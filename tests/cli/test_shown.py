@@ -79,6 +79,7 @@ def test_identify_writes_strict_json(identified):
     assert found["records"]["estimation"][0]["samples"] == 2000
 
 
+@pytest.mark.slow
 def test_a_later_process_runs_the_programs_of_the_first(records, tmp_path):
     code = "import sys; from jaxgray.cli import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", code, "identify", str(records[0]), *CHANNELS, "--quiet", "--json"]

@@ -45,7 +45,7 @@ def run(simulator, candidate, record):
         way(candidate, Data.of(record))
 
 
-@pytest.mark.parametrize("own", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("own", [pytest.param(own, marks=pytest.mark.slow) for own in (False, True)])
 def test_a_refit_runs_what_was_compiled_for_the_expected_model(case, kept, own):
     identified = jaxgray.identify(case)
     model = identified.model if own else None

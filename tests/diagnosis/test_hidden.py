@@ -5,9 +5,8 @@ import hidden
 import pytest
 from found import IDS, SAMPLES, check_found, diagnosed, generator, hidden_case, searched
 
-ALWAYS = """cubic_stiffness end_stop coulomb_friction bouc_wen_hysteresis gyroscopic_coupling input_delay
-input_saturation play_hysteresis sensor_offset sensor_lag unmodelled_mode stiffness_step force_step
-periodic_disturbance""".split()
+ALWAYS = """cubic_stiffness end_stop coulomb_friction bouc_wen_hysteresis input_delay play_hysteresis sensor_offset
+unmodelled_mode stiffness_step force_step periodic_disturbance""".split()
 """Of every kind some; the others run with the slow tests, and each at three sizes in benchmarks/yardstick.py."""
 
 
@@ -19,6 +18,7 @@ def test_a_hidden_effect_is_found(effect_id):
     check_found(case, diagnosed(case, only=searched(effect_id)))
 
 
+@pytest.mark.slow
 def test_another_number_of_coordinates():
     # One coordinate: the notebook of the examples.
     case = hidden_case("input_delay", dofs=(3,))

@@ -24,7 +24,7 @@ from jaxgray.diagnosis import routing as routes
 from jaxgray.identification.validation.residuals import residual_test
 
 
-@pytest.mark.parametrize("kind", hidden.NULLS)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.slow] * (k == "process")) for k in hidden.NULLS])
 def test_nothing_is_found_where_nothing_is_hidden(kind):
     diagnosis = diagnosed(hidden.null_case(generator(kind), kind, dofs=(2,), samples=SAMPLES))
     assert diagnosis.verdict == "noise", str(diagnosis)
@@ -229,6 +229,7 @@ def test_a_closed_loop_is_announced():
     assert not model_findings(diagnosis), str(diagnosis)
 
 
+@pytest.mark.slow
 def test_noise_that_a_controller_feeds_back_is_no_crosstalk():
     # A record of a campaign in which the input seemed to leak into the output.
     diagnosis = diagnosed(hidden.closed_loop_case(np.random.default_rng([68101, 4, 2])))

@@ -7,10 +7,12 @@ from found import check_found, diagnosed, hidden_case, model_findings
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.search import long_records
 
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("cubic_stiffness", "stiffness_step")]
+SLOW = [
+    pytest.param(name, marks=pytest.mark.slow) for name in ("coulomb_friction", "cubic_stiffness", "stiffness_step")
+]
 
 
-@pytest.mark.parametrize("effect_id", ["coulomb_friction", *SLOW])
+@pytest.mark.parametrize("effect_id", SLOW)
 def test_a_law_that_a_part_shows_is_refitted_on_the_whole(monkeypatch, effect_id):
     monkeypatch.setattr(long_records, "PART", 700)
     case = hidden_case(effect_id)

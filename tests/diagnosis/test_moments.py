@@ -10,7 +10,10 @@ from found import diagnosed, model_findings
 
 @pytest.mark.parametrize(
     ("effect", "size", "seed", "number"),
-    [pytest.param("force_step", "F", 96001, 0, marks=pytest.mark.slow), ("stiffness_step", "dk", 97001, 2)],
+    [
+        pytest.param("force_step", "F", 96001, 0, marks=pytest.mark.slow),
+        pytest.param("stiffness_step", "dk", 97001, 2, marks=pytest.mark.slow),
+    ],
 )
 def test_a_sudden_change_is_found_at_its_moment(effect, size, seed, number):
     # Of the second the likelihood has several hills, each far narrower than all of them.

@@ -75,6 +75,7 @@ def test_every_number_of_a_law_may_be_wrong(baseline):
     assert changed[1].values[0] == 42.0 and own[1].values[0] == 40.0
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_numbers_of_a_law_are_those_of_the_run(baseline):
     record, found = baseline
     data, simulator = Data.of(record), Simulator(found.setup, (by_id("coulomb_friction"), by_id("cubic_stiffness")))

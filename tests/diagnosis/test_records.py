@@ -5,6 +5,7 @@ import warnings
 
 import hidden
 import numpy as np
+import pytest
 from found import SAMPLES, check_found, diagnosed, explains, generator, hidden_case, model_findings
 from hidden_laws import Effect
 from hidden_simulation import System
@@ -44,6 +45,7 @@ def test_one_offset_in_all_records_is_a_finding_and_not_taken_off():
     assert explains(finding, effect) and not any("another zero" in text for text in diagnosis.warnings)
 
 
+@pytest.mark.slow
 def test_a_record_may_end_where_the_motion_runs_away():
     # Past its saddle a softening spring lets go: beyond the last sample the simulation overflows.
     rng = np.random.default_rng(5)

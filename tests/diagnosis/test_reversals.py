@@ -90,6 +90,7 @@ def test_few_samples_beside_reversals_are_undecided_and_the_rest_is_noise(rubbin
     assert undecided(simulator, true, data, e) is None
 
 
+@pytest.mark.slow
 def test_friction_that_had_passed_for_damping_is_reached_along_the_measured_motion(rubbing):
     frame, record, noise = rubbing
     simulator, start = linear(frame, record, damping=12.0)

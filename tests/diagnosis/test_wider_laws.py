@@ -44,6 +44,7 @@ def test_friction_at_rest_is_found_from_the_refit_without_it(friction):
     assert diagnosis.verdict == "named" and diagnosis.findings[0].effect == "stribeck_friction", str(diagnosis)
 
 
+@pytest.mark.slow
 def test_a_wider_law_takes_in_the_simpler_one_accepted_before(friction):
     context, state = friction[2][0]
     whole, noise_model, accepted = state.fit, noise_model_of(context, state.fit), state.accepted[0]

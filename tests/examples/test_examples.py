@@ -7,6 +7,7 @@ from shown import ROOT, example
 BENCH = ROOT.parent / "shared" / "data" / "motor_bench_estimation.csv"
 
 
+@pytest.mark.slow
 def test_the_papers_simulation_beats_its_published_errors(tmp_path, capsys):
     paper = example("paper_simulation")
     found = paper.main(["--samples", "4000", "--out", str(tmp_path)])
@@ -39,6 +40,7 @@ def test_the_micro_manipulators_frequencies_are_found_without_tuning(capsys):
     assert "83.107" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_simulated_bench_agrees_with_its_frequency_response_and_the_truth(capsys):
     bench = example("measured_record")
     rows = bench.main(["--samples", "7500"])["rows"]

@@ -5,6 +5,7 @@ import pytest
 from shown import example
 
 
+@pytest.mark.slow
 def test_a_network_learns_the_force_and_leaves_the_matrices_right(capsys):
     found = example("learned_force").main(["--samples", "1000"])
     deviation = np.abs(found["joint"] - found["truth"]) / found["standard_errors"]

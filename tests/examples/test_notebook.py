@@ -13,6 +13,7 @@ NOTEBOOK = Path(__file__).resolve().parents[2] / "examples" / "diagnosis.ipynb"
 
 
 # The messages of the kernel's own machinery are not ours.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_the_notebook_finds_the_friction_that_it_hides(monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)

@@ -41,8 +41,15 @@ def truth_fit(u, y):
     return 100 * (1 - np.linalg.norm(y - clean, axis=0) / np.linalg.norm(y - y.mean(axis=0), axis=0))
 
 
-@pytest.mark.parametrize("structure", [None, ("diagonal-mass", "chain")])
-@pytest.mark.parametrize("base", [True, False])
+@pytest.mark.parametrize(
+    "base, structure",
+    [
+        (True, ("diagonal-mass", "chain")),
+        (False, None),
+        pytest.param(True, None, marks=pytest.mark.slow),
+        pytest.param(False, ("diagonal-mass", "chain"), marks=pytest.mark.slow),
+    ],
+)
 def test_a_shear_frame_is_fitted_down_to_its_noise(base, structure):
     u, y = frames.three_storeys(31, base=base, samples=4000)
     options = {"excitation": "base-acceleration"} if base else {}
@@ -189,6 +196,7 @@ def test_blocks_of_a_scaled_chain_come_back():
     assert part(np.ones(5), (1,) * 5)[0].shape == (1, 1)
 
 
+@pytest.mark.slow
 def test_a_start_out_of_phase_with_the_record_is_brought_to_it_over_windows():
     # Masses, dampers and springs up to 50 % off, lightly damped: over the whole record steps end in another minimum.
     rng = np.random.default_rng([3, 50])
@@ -213,6 +221,7 @@ def test_a_start_out_of_phase_with_the_record_is_brought_to_it_over_windows():
     np.testing.assert_allclose(stiffness, frame.stiffness, atol=5e-3 * frame.stiffness.max())
 
 
+@pytest.mark.slow
 def test_a_rigid_body_takes_a_structure_too():
     rng = np.random.default_rng(9)
     M, D = np.diag([2.0, 1.0]), np.array([[0.6, -0.2], [-0.2, 0.3]])

@@ -193,7 +193,10 @@ def test_masses_springs_and_dampers_of_a_drive_from_its_motor_encoder():
     assert result.structure_price[0] == 1
 
 
-@pytest.mark.parametrize("measured", ["displacement", "velocity", "acceleration"])
+@pytest.mark.parametrize(
+    "measured",
+    [pytest.param(kind, marks=pytest.mark.slow) for kind in ("displacement", "velocity")] + ["acceleration"],
+)
 def test_the_canonical_form_has_the_modes_and_antiresonance_of_the_truth(measured):
     ground = 100.0
     result = found(None, ground, measured)

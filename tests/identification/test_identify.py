@@ -181,7 +181,11 @@ def test_one_input_moves_two_coupled_coordinates():
     assert np.max(np.abs(entries(found) - truth) / np.sqrt(np.diag(found.covariance))) < 4.5
 
 
-@pytest.mark.parametrize("fix", ["mass[0,0]=2,mass[0,1]=0,mass[1,1]=1", None], ids=["masses given", "not given"])
+@pytest.mark.parametrize(
+    "fix",
+    [pytest.param("mass[0,0]=2,mass[0,1]=0,mass[1,1]=1", marks=pytest.mark.slow), None],
+    ids=["masses given", "not given"],
+)
 def test_base_acceleration(fix):
     M, D, K = np.diag([2.0, 1.0]), np.array([[1.2, -0.4], [-0.4, 0.9]]), np.array([[300.0, -120.0], [-120.0, 200.0]])
     rng = np.random.default_rng(0)
@@ -338,7 +342,9 @@ def test_modes_alone_lead_near_the_truth():
     assert mass < 0.02 and stiffness < 0.02 and damping < 0.4
 
 
-@pytest.mark.parametrize("shaken", [0, 1, 2])
+@pytest.mark.parametrize(
+    "shaken", [pytest.param(0, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.slow), 2]
+)
 def test_a_drift_is_not_taken_for_a_slow_mode(shaken):
     """The refinement from the subspace start ends at masses of 1e6, unsettled: another start is tried, whatever the
     last digits are, on which processors do not agree."""

@@ -70,6 +70,7 @@ def test_what_fails_says_so(records, batch):
     assert "4 of 6 records" in text and "record 5" in text
 
 
+@pytest.mark.slow
 def test_what_the_batch_leaves_is_identified_alone(records):
     """A mode without damping lies at the edge of the cone, where Cholesky factors cannot judge their end."""
     rng = np.random.default_rng(0)

@@ -75,6 +75,7 @@ def test_later_samples_need_not_the_first(table, whole, tmp_path):
         kept.extended([np.full((5, 4), np.nan)])
 
 
+@pytest.mark.slow
 def test_choice_is_made_on_the_first_chunk(table, tmp_path):
     path, names = written("npy", table, tmp_path)
     found = compress(path, inputs=names[:2], outputs=names[2:], sampling_time=H)
