@@ -53,8 +53,8 @@ from .result import Diagnosis
 from .routing import asked_of_forces, begin, by_force_equation, may_come_into_step
 from .screening.flexible_force import FlexibleForce
 from .search.forward import recount
-from .search.long_records import Searched, search
 from .search.modal_restart import from_other_modes
+from .search.parts import Searched, search
 from .search.state import SearchState
 from .starts.user_model import identified, with_first_states
 
@@ -185,7 +185,13 @@ def _of_clean_records(
         context = dataclasses.replace(context, identified=identified(context.simulator, records, context.data, options))
         baseline = with_first_states(context, baseline)
     errors = MODEL_ERRORS + parameter_errors(baseline.setup.own) if baseline.own else ()
-    state, searched = search(context, baseline, max_effects, errors=errors)
+
+    def of_parts(rows, parts):
+        return identified(context.simulator, [r[part] for r, part in zip(records, rows)], parts, options)
+
+    state, searched = search(
+        context, baseline, max_effects, errors=errors, identified=of_parts if model is None else None
+    )
     if identification is not None:
         with contextlib.suppress(BudgetSpent):
             from_other_modes(context, state, identification, records)

@@ -58,6 +58,14 @@ up at twice this (benchmark)."""
 CONTACT = frozenset({DeadZoneStiffness.id, EndStop.id})
 """Laws that differ in their name alone, by how much of the record is spent in contact."""
 
+OUT_OF_STEP = 0.2
+"""Share of the square of an output from which what a free run leaves of it says that it does not follow the record
+(convention)."""
+
+WINDOW_SHARE = 0.1
+"""Share of the squared residual that linear models of the ends of a record may leave where a parameter that changes
+over time is looked for in its windows, and that such a change may leave there (convention)."""
+
 # Held-out data
 
 HELD_OUT_RISK = 0.01

@@ -52,14 +52,24 @@ class Attempt:
 
 
 def attempts_of(
-    context: SearchContext, stage: Stage, listed: list[list[Score]], noise_model: NoiseModel, rejected: list[Rejected]
+    context: SearchContext,
+    stage: Stage,
+    listed: list[list[Score]],
+    noise_model: NoiseModel,
+    rejected: list[Rejected],
+    known: dict[tuple[str, str], tuple[Score, Refit]],
 ) -> dict[tuple[str, str], Attempt]:
     """Refits of the listed candidates; only those that still can be the best are carried to their end. Laws that
-    contain a simpler one begin where that ended."""
+    contain a simpler one begin where that ended.
+
+    **Arguments:** `context`; `stage`; `listed`; `noise_model` of the first refits; `rejected`: takes those that are
+    far behind; `known`: refits carried to their end already, which the others are measured by.
+    """
+    best = min((_criterion_under(context, *one, noise_model) for one in known.values()), default=np.inf)
     names = {_name(scores[0]) for scores in listed}
     left = {_name(scores[0]): scores for scores in listed if names & set(_simpler(scores))}
     fits = _outright(
-        context, stage, [scores for scores in listed if _name(scores[0]) not in left], noise_model, rejected
+        context, stage, [scores for scores in listed if _name(scores[0]) not in left], noise_model, rejected, best
     )
     bases: dict[tuple[str, str], _Base] = {}
     while left:
@@ -70,7 +80,7 @@ def attempts_of(
         for base in set(base_of.values()) - {None, *bases}:
             bases[base] = _Base.of(context, *fits[base])
         for name in (name for name, base in base_of.items() if base is None):
-            fits |= _outright(context, stage, [now[name]], noise_model, rejected)
+            fits |= _outright(context, stage, [now[name]], noise_model, rejected, best)
         beyond = {name: (bases[base], now[name]) for name, base in base_of.items() if base is not None}
         for name, end in zip(beyond, side_by_side(lambda one: _beyond(context, *one), beyond.values())):
             if isinstance(end, Rejected):
@@ -78,7 +88,7 @@ def attempts_of(
             else:
                 fits[name] = end
     attempts: dict[tuple[str, str], Attempt] = {}
-    for score, fit in _followed(context, fits, rejected).values():
+    for score, fit in _followed(context, fits | known, rejected).values():
         attempt = by_contact(context, Attempt(score, fit, noise_model_of(context, fit)), stage)
         if attempt.name not in attempts or attempt.noise_model.cost < attempts[attempt.name].noise_model.cost:
             attempts[attempt.name] = attempt
@@ -105,6 +115,12 @@ def criterion_of(context: SearchContext, score: Score, fit: Refit) -> float:
     return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(context, score)
 
 
+def _criterion_under(context: SearchContext, score: Score, fit: Refit, noise_model: NoiseModel) -> float:
+    """BIC of a refit as it is under another noise model, infinite where it cannot be simulated."""
+    same = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=0)
+    return np.inf if same is None else criterion_of(context, score, same)
+
+
 def unresolved(fit: Refit, score: Score) -> str | None:
     """Why a law at the end of a refit is another one there, as far as the record shows; None where it is not."""
     shape = score.shape
@@ -113,12 +129,17 @@ def unresolved(fit: Refit, score: Score) -> str | None:
 
 
 def _outright(
-    context: SearchContext, stage: Stage, listed: list[list[Score]], noise_model: NoiseModel, rejected: list[Rejected]
+    context: SearchContext,
+    stage: Stage,
+    listed: list[list[Score]],
+    noise_model: NoiseModel,
+    rejected: list[Rejected],
+    best: float,
 ) -> dict[tuple[str, str], tuple[Score, Refit]]:
     """Refits from the model without the candidate, under one noise model first, then those that are left to their
     end."""
     rough: dict[tuple[str, str], tuple[float, Score, Refit]] = {}
-    starts, best, unlike = [score for scores in listed for score in scores], np.inf, {}
+    starts, unlike = [score for scores in listed for score in scores], {}
 
     def first(k):
         effect, place = _name(starts[k])

@@ -52,6 +52,19 @@ class Data:
             record.hold,
         )
 
+    def part(self, begin: int, size: int, *, padded: bool = False) -> "Data":
+        """A part of the record, itself where it is no longer than that; `padded`: to the record's own length."""
+        if self.samples <= size:
+            return self
+        rows, more = slice(begin, begin + size), len(self.u) - size if padded else 0
+
+        def cut(X, mode):
+            return np.pad(X[rows], ((0, more), *((0, 0),) * (X.ndim - 1)), mode=mode) if more else X[rows]
+
+        driven = {name: cut(getattr(self, name), "edge") for name in ("u", "scheduling")}
+        shown = {name: cut(getattr(self, name), "constant") for name in ("y", "kept")}
+        return dataclasses.replace(self, **driven, **shown, samples=size)
+
     @property
     def traced_sampling_time(self) -> Float[np.ndarray, ""]:
         """Sampling time as an array, for compiled functions: a plain number would be compiled in."""

@@ -25,6 +25,7 @@ from ..starts.lookalikes import (
     untried_look_alikes,
 )
 from ..starts.user_model import wrong_entries
+from ..starts.windows import changes_over_time
 from .confusable import look_alikes, simplified
 from .provisional import refit_for_free_run
 from .state import SearchState, is_local
@@ -35,7 +36,8 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     stage, before = state.stage, len(state.rejected)
     noise_model = closer.noise_model if closer.shows else white_noise_model(stage.e, context.data[0].kept, stage.system)
     listed = listed_with(shortlist(screening, closer), wrong_entries(context, stage, screening))
-    attempts = attempts_of(context, stage, listed, noise_model, state.rejected)
+    known = changes_over_time(context, stage, screening)
+    attempts = attempts_of(context, stage, listed, noise_model, state.rejected, known)
     ranked = compared(context, stage, list(attempts.values()))
     if forced := from_forces(context, stage, screening):
         ranked = _better_ones(compared(context, stage, ranked + forced))

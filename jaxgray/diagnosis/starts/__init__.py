@@ -5,4 +5,5 @@ force_matching  a law that imitates the force of another
 lookalikes      confusable laws from the best one's end
 equation_error  laws that the force equation finds, with its M, D, K
 residual_modes  hidden modes from the lines of the residual
+windows         changes of a parameter over time, from linear models of the windows of a record
 """

@@ -1,11 +1,11 @@
-"""Long records: searched on a part, reported on the whole."""
+"""Records searched on a part, reported on the whole."""
 
 import numpy as np
 import pytest
 from found import check_found, diagnosed, hidden_case, model_findings
 
 from jaxgray.diagnosis.model.candidate import Data
-from jaxgray.diagnosis.search import long_records
+from jaxgray.diagnosis.search import parts
 
 SLOW = [
     pytest.param(name, marks=pytest.mark.slow) for name in ("coulomb_friction", "cubic_stiffness", "stiffness_step")
@@ -14,7 +14,7 @@ SLOW = [
 
 @pytest.mark.parametrize("effect_id", SLOW)
 def test_a_law_that_a_part_shows_is_refitted_on_the_whole(monkeypatch, effect_id):
-    monkeypatch.setattr(long_records, "PART", 700)
+    monkeypatch.setattr(parts, "PART", 700)
     case = hidden_case(effect_id)
     diagnosis = diagnosed(case, only=("cubic_stiffness", "coulomb_friction", "stiffness_step", "force_step"))
     check_found(case, diagnosis)
@@ -33,7 +33,10 @@ def test_a_law_that_a_part_shows_is_refitted_on_the_whole(monkeypatch, effect_id
 def test_the_liveliest_part_is_searched():
     y = np.concatenate([np.zeros((300, 1)), np.sin(np.arange(200.0))[:, None], np.zeros((500, 1))])
     data = Data(np.ones_like(y), y, np.ones(y.shape, bool), np.zeros(len(y)), len(y), 0.1, "zero")
-    assert long_records._liveliest(data, 200) == 300
-    part = long_records._cut(data, 300, 200)
+    assert parts._liveliest(data, 200) == 300
+    part = data.part(300, 200)
     assert part.samples == len(part.u) == len(part.kept) == 200 and np.array_equal(part.y, y[300:500])
-    assert long_records._liveliest(data, 1000) == 0 and long_records._cut(data, 0, 1000) is data
+    padded = data.part(300, 200, padded=True)
+    assert padded.samples == 200 and len(padded.u) == len(y) and np.array_equal(padded.y[:200], y[300:500])
+    assert padded.kept[:200].all() and not padded.kept[200:].any() and np.all(padded.u == 1)
+    assert parts._liveliest(data, 1000) == 0 and data.part(0, 1000) is data

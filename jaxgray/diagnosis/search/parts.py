@@ -1,11 +1,15 @@
-"""Long records: the search works on a part of them, every reported number is refitted on all of it.
+"""The search on a part of a record; every reported number is refitted on all of it.
 
-Evidence grows with the samples, and so does the time of every trial; what a part shows clearly, the rest shows again. A
-part that shows nothing is replaced by one four times as long, up to the whole record. What belongs to the clock of a
-record, such as a step of stiffness, is looked for in the whole.
+Evidence grows with the samples, and so does the time of every trial: of long records a part is searched, and one four
+times as long, up to the whole, where it shows nothing. What belongs to the clock of a record, such as a step of
+stiffness, is looked for in the whole.
+
+A strong effect takes the free run of the linear model out of step with the record, and scores about it then name
+anything. Over a few periods it has no time to: a short part with a linear model of its own is searched first.
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,13 +17,17 @@ import numpy as np
 from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
 from .. import settings
-from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.context import Identified, SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, settled
 from ..estimation.gauss_newton import Refit, refit
 from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
+from ..model.simulator import Simulator, natural_frequencies_hz
 from ..noise.whitening import white_noise_model
+from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import screen_simulated
+from ..starts.windows import long_enough
+from .final_swap import swap_rivals
 from .forward import extend, select_forward
 from .state import SearchState, held_out_run, stage_of_candidate
 
@@ -31,6 +39,9 @@ LONG = 2.0
 
 LONGER = 4
 """By how much longer the next part is where one shows nothing."""
+
+SHORT = 4
+"""Parts of a record with which the free run falls out of step, of which one is searched first."""
 
 STEPS = 10
 """Of each refit on the whole record."""
@@ -46,13 +57,23 @@ class Searched:
     where: str | None
 
 
+Identify = Callable[[list[slice], list[Data]], Identified | None]
+"""The linear model of parts of the records."""
+
+
 def search(
-    context: SearchContext, baseline: Baseline, max_effects: int, *, errors: tuple[AbstractEffect, ...] = ()
+    context: SearchContext,
+    baseline: Baseline,
+    max_effects: int,
+    *,
+    errors: tuple[AbstractEffect, ...] = (),
+    identified: Identify | None = None,
 ) -> tuple[SearchState, "Searched"]:
     """Extend the baseline until nothing more is found, on parts of long records first.
 
     **Arguments:** `context`; `baseline`; `max_effects`; `errors`: as for `select_forward`, where numbers of a given
-    model may be wrong: the whole record is then searched.
+    model may be wrong: the whole record is then searched; `identified`: gives the linear model of a part, None where
+    the model is given.
 
     **Returns:** how far the search got, on the whole records; what it worked on.
     """
@@ -68,21 +89,64 @@ def search(
         if state.unexplained:
             break
         size *= LONGER
-    state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))
+    state = _from_short_part(context, baseline, max_effects, identified)
+    if state is None:
+        state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))
     return state, Searched(context, state, None)
 
 
-def _part(context: SearchContext, baseline: Baseline, size: int) -> tuple[SearchContext, Candidate, str]:
-    """The context with the liveliest part of every record, the baseline with its first states there, and which part."""
+def _from_short_part(
+    context: SearchContext, baseline: Baseline, max_effects: int, identified: Identify | None
+) -> SearchState | None:
+    """The search begun with what a short part shows, where the free run is out of step with the record; None where it
+    is not, or what is found there does not bring it into step."""
+    start, data = baseline.start, context.data[0]
+    if identified is None or not out_of_step(context.simulator, start, data):
+        return None
+    size = data.samples // SHORT
+    if not long_enough(natural_frequencies_hz(baseline.model), data, size, len(start.entries) + len(start.x0[0])):
+        return None
+    context.progress.unlimited.stage("looking at a part of the record")
+    begins = [_liveliest(d, size) for d in context.data]
+    part, *_ = _part(context, baseline, size, like=True)
+    own = identified([slice(begin, begin + size) for begin in begins], part.data)
+    if own is None:
+        return None
+    found = select_forward(part, Candidate(own.entries, own.x0), max_effects)
+    whole = _carried_over(context, start, found) if found.accepted else None
+    if whole is None or out_of_step(context.simulator, whole.fit.candidate, data):
+        return None
+    if (left := max_effects - len(whole.accepted)) > 0:
+        extend(context, whole, left, (*context.catalogue, FlexibleForce()))
+        swap_rivals(context, whole)
+    return whole
+
+
+def out_of_step(simulator: Simulator, candidate: Candidate, data: Data) -> bool:
+    """Whether the free run of a candidate is so far from some output of a record that it does not follow it."""
+    kept = data.kept[: data.samples]
+    y = np.where(kept, data.y[: data.samples], np.nan)
+    e = y - simulator.run(candidate, data)[: data.samples]
+    share = np.nanvar(e, axis=0) / np.maximum(np.nanvar(y, axis=0), 1e-300)
+    return not np.max(share) < settings.OUT_OF_STEP
+
+
+def _part(
+    context: SearchContext, baseline: Baseline, size: int, *, like: bool = False
+) -> tuple[SearchContext, Candidate, str]:
+    """The context with the liveliest part of every record, the baseline with its first states there, and which part.
+
+    `like`: parts are padded to the length of the records, so that nothing more is compiled.
+    """
     lasting = tuple(effect for effect in context.catalogue if not effect.tied_to_clock)
     begins = [_liveliest(d, size) for d in context.data]
-    data = [_cut(d, begin, size) for d, begin in zip(context.data, begins)]
-    held = [_cut(d, _liveliest(d, size), size) for d in context.validation]
+    data = [d.part(begin, size, padded=like) for d, begin in zip(context.data, begins)]
+    held = [d.part(_liveliest(d, size), size, padded=like) for d in context.validation]
     model = baseline.model
     states = []
     for d in data:
-        y = np.where(d.kept, d.y, np.nan)
-        states.append(initial_state(model, d.u, y, d.sampling_time, hold=d.hold)[0])
+        u, y = d.u[: d.samples], np.where(d.kept, d.y, np.nan)[: d.samples]
+        states.append(initial_state(model, u, y, d.sampling_time, hold=d.hold)[0])
     begin, end = begins[0], min(begins[0] + size, context.data[0].samples)
     where = f"The search worked on samples {begin + 1} to {end} of {context.data[0].samples}"
     part = dataclasses.replace(context, data=data, validation=held, catalogue=lasting)
@@ -99,15 +163,6 @@ def _liveliest(data: Data, size: int) -> int:
     total = np.concatenate([[0.0], np.cumsum(power)])
     begins = np.arange(0, data.samples - size + 1, max(size // 4, 1))
     return int(begins[np.argmax(total[begins + size] - total[begins])])
-
-
-def _cut(data: Data, begin: int, size: int) -> Data:
-    """A part of a record."""
-    if data.samples <= size:
-        return data
-    rows = slice(begin, begin + size)
-    arrays = {name: getattr(data, name)[rows] for name in ("u", "y", "kept", "scheduling")}
-    return dataclasses.replace(data, **arrays, samples=size)
 
 
 def _carried_over(context: SearchContext, start: Candidate, part: SearchState) -> SearchState | None:

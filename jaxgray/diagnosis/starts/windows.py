@@ -1,0 +1,296 @@
+"""Laws that alter a matrix over time, begun where linear models fit every window of the record.
+
+Where a spring changes, the linear model that is nearest to the whole record is out of step with it before the change
+and after, and no score about it tells the place or the moment. Over a few periods no run falls out of step: windows
+have linear models of their own, whose natural frequencies show the moment. What a law at a place explains of them is
+then refitted to some of the windows together,
+
+    min Σ_w ‖y_w − ŷ(θ + g_w α d, x0_w)‖²,
+
+where d is what a unit of the law does to the entries θ, and g_w how much of it acts in a window.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ...identification.refinement.conic import pseudo_inverse
+from ...mechanics.effects.base import AbstractEffect, Place, Term, onset_of
+from ...mechanics.extended import arm_along
+from ...numerics.bounded import bounded
+from ...numerics.side_by_side import side_by_side
+from .. import settings
+from ..estimation.context import SearchContext
+from ..estimation.continuation import ROUGH, refit_to_convergence
+from ..estimation.gauss_newton import Refit, refit
+from ..estimation.multistart import unresolved
+from ..estimation.normal_equations import Equations
+from ..model.candidate import Candidate, Data
+from ..model.parameter_vector import Layout
+from ..model.simulator import natural_frequencies_hz
+from ..noise.whitening import NoiseModel, white_noise_model
+from ..screening.linearization import Stage
+from ..screening.score_test import Score, Screening
+from ..screening.shortlist import begun_at
+
+WINDOWS = 8
+"""Windows that a record is divided into; as many lie across the borders."""
+
+PERIODS = 3.0
+"""Of the slowest mode that a window must hold."""
+
+ROWS = 4
+"""Samples of a window for every number that is fitted to it."""
+
+STEPS = 25
+"""Of the refit of a window, and of the first refit of a law."""
+
+TOGETHER = 4
+"""Windows that a law is refitted to together, from the first to the last, as many on both sides of a change."""
+
+BEGUN = 2
+"""Laws that are begun so at most."""
+
+MOMENTS = 48
+"""Moments that a change is tried at, over the windows on both sides of it."""
+
+
+@dataclass(frozen=True)
+class _Window:
+    """A linear model of one window: `data`; `entries`; `x0`; natural frequencies `hz`; sample at its `middle`; the
+    `noise_model` of what the whole record's model leaves there, and the share of its square that is `left`."""
+
+    data: Data
+    entries: Float[np.ndarray, " entries"]
+    x0: Float[np.ndarray, " states"]
+    hz: Float[np.ndarray, " modes"]
+    middle: float
+    noise_model: NoiseModel
+    left: float
+
+
+@dataclass(frozen=True)
+class _Change:
+    """A law at a place as the windows show it: `entries` and first state `x0` without it, its `size`, the middle
+    [samples] of the windows around its moment (None where it has none), and the share of the squared residual that it
+    leaves in so many `rows` of the windows."""
+
+    score: Score
+    entries: Float[np.ndarray, " entries"]
+    x0: Float[np.ndarray, " states"]
+    size: float
+    around: tuple[float, float] | None
+    left: float
+    rows: int
+
+
+def changes_over_time(
+    context: SearchContext, stage: Stage, screening: Screening
+) -> dict[tuple[str, str], tuple[Score, Refit]]:
+    """Laws that alter a matrix over time, refitted from what the windows of the first record show; none where linear
+    models of the windows leave more than a little of the residual, or no such law does.
+
+    **Arguments:** `context`; `stage`; `screening`: of that stage.
+    """
+    laws = [] if np.any(context.held & ~context.simulator.setup.held) else _laws(screening)
+    lasting = not any(term.effect.tied_to_clock for term in stage.candidate.terms)
+    data = context.data[0]
+    size = data.samples // WINDOWS
+    hz, numbers = natural_frequencies_hz(stage.plant), len(stage.candidate.entries) + len(stage.candidate.x0[0])
+    if not laws or not lasting or not long_enough(hz, data, size, numbers):
+        return {}
+    # The ends alone first: where another law than a change is missing, no linear model fits them much better.
+    ends = [_fitted(context, stage, begin, size) for begin in (0, data.samples - size)]
+    if any(window is None or window.left > settings.WINDOW_SHARE for window in ends):
+        return {}
+    context.progress.stage("fitting windows of the record")
+    begins = np.arange(max(size // 2, 1), data.samples - size, max(size // 2, 1))
+    inner = side_by_side(lambda begin: _fitted(context, stage, int(begin), size), begins)
+    windows = [ends[0], *(window for window in inner if window is not None), ends[1]]
+    changes = side_by_side(lambda law: _read(context, stage, law, windows), laws)
+    near = [change for change in changes if change is not None and change.left < settings.WINDOW_SHARE]
+    near = sorted(near, key=lambda change: change.left)
+    near = [c for c in near if c.rows * np.log(c.left / near[0].left) < settings.MAX_CRITERION_GAP][:BEGUN]
+    refits = side_by_side(lambda change: _refitted(context, stage, change, size), near)
+    named = {(c.score.shape.effect.id, c.score.shape.place.name): end for c, end in zip(near, refits)}
+    return {name: end for name, end in named.items() if end is not None}
+
+
+def _laws(screening: Screening) -> list[Score]:
+    """Every law that alters a matrix, once at every place."""
+    found: dict[tuple[str, str], Score] = {}
+    for score in (*screening.scores, *screening.white):
+        if score.shape.effect.alters:
+            found.setdefault((score.shape.effect.id, score.shape.place.name), score)
+    return list(found.values())
+
+
+def long_enough(hz: np.ndarray, data: Data, size: int, numbers: int) -> bool:
+    """Whether a part of a record holds periods enough of a model's slowest mode, and samples enough to fit so many
+    numbers to.
+
+    **Arguments:** `hz`: natural frequencies, lowest first; `data`; `size` of the part [samples]; `numbers`.
+    """
+    slowest = hz[hz > 0][:1]
+    return len(slowest) > 0 and size * data.sampling_time * slowest[0] >= PERIODS and size >= ROWS * numbers
+
+
+def _fitted(context: SearchContext, stage: Stage, begin: int, size: int) -> _Window | None:
+    """The linear model refitted to one window, from that of the stage; None where it cannot be simulated."""
+    data = context.data[0]
+    window, kept = data.part(begin, size, padded=True), data.kept[begin : begin + size]
+    if not np.any(kept):
+        return None
+    e = np.where(kept, stage.e[begin : begin + size], 0.0)
+    level = np.sqrt(np.sum(e**2, axis=0) / np.maximum(kept.sum(axis=0), 1)) + 1e-300
+    white = white_noise_model(stage.e, data.kept, stage.system)
+    noise_model = dataclasses.replace(white, level=level, lower=np.diag(level))
+    begun = Candidate(stage.candidate.entries, (np.zeros_like(stage.candidate.x0[0]),), stage.candidate.terms)
+    fit = refit(context.simulator, begun, [window], noise_model, max_steps=STEPS, tolerance=ROUGH)
+    if fit is None:
+        return None
+    found, left = fit.candidate, fit.cost / max(fit.count, 1)
+    hz = natural_frequencies_hz(context.simulator.plant(found))
+    return _Window(window, found.entries, found.x0[0], hz, begin + size / 2, noise_model, left)
+
+
+def _read(context: SearchContext, stage: Stage, score: Score, windows: list[_Window]) -> _Change | None:
+    """What the windows say of one law; None where they say nothing."""
+    effect, samples = score.shape.effect, context.data[0].samples
+    if effect.onset:
+        k = _moment(windows)
+        # Clear of the change, and as far from one another as they can be.
+        sides = windows[: max(k - 1, 1)], windows[min(k + 1, len(windows) - 1) :]
+        chosen = [window for side in sides for window in ([side[0]] if len(side) == 1 else [side[0], side[-1]])]
+        course = [float(window.middle > sides[0][-1].middle) for window in chosen]
+        around = windows[k - 1].middle, windows[k].middle
+    else:
+        chosen = [windows[k] for k in np.linspace(0, len(windows) - 1, TOGETHER).astype(int)]
+        course, around = [window.middle / samples for window in chosen], None
+    found = _together(context, stage, score.shape.effect, score.shape.place, chosen, course)
+    return None if found is None else _Change(score, *found[:3], around, *found[3:])
+
+
+def _moment(windows: list[_Window]) -> int:
+    """The first window after a change at once of the natural frequencies, which nothing but the model's rates tell."""
+    hz = np.log(np.maximum(np.array([window.hz for window in windows]), 1e-12))
+
+    def scatter(k: int) -> float:
+        return sum(float(np.sum((side - np.median(side, axis=0)) ** 2)) for side in (hz[:k], hz[k:]))
+
+    return min(range(1, len(windows)), key=scatter)
+
+
+def _together(
+    context: SearchContext, stage: Stage, effect: AbstractEffect, place: Place, windows: list[_Window], course
+) -> tuple[np.ndarray, np.ndarray, float, float, int] | None:
+    """The entries, the first state of the first window, the size of a law, what it leaves, and the rows:
+    refitted to some windows together by damped Gauss-Newton; None where that cannot be simulated.
+
+    **Arguments:** `context`; `stage`; `effect`; `place`; `windows`; `course`: how much of the law acts in each.
+    """
+    setup, terms = context.simulator.setup, stage.candidate.terms
+    equations = []
+    for window in windows:
+        layout = Layout(setup, Candidate(window.entries, (window.x0,), terms))
+        equations.append(Equations(context.simulator, [window.data], window.noise_model, layout))
+    theta, size, states = windows[0].entries, 0.0, [window.x0 for window in windows]
+    entries, first = len(theta), len(theta) + len(states[0])
+    moving = np.concatenate([~setup.held, [True]])
+
+    def evaluated(theta, size, states):
+        d = _direction(context, effect, place, theta)
+        if d is None:
+            return None
+        made = [eq(Candidate(theta + g * size * d, (x0,), terms)) for eq, g, x0 in zip(equations, course, states)]
+        return None if any(one is None for one in made) else (d, made, sum(one[2] for one in made))
+
+    now, damping = evaluated(theta, size, states), 1e-6
+    if now is None:
+        return None
+    count = sum(one[3] for one in now[1])
+    for _ in range(STEPS):
+        d, made, cost = now
+        parts, H, gradient = [], 0.0, 0.0
+        for (full, g_full, *_), g in zip(made, course):
+            # By the entries and the size; the first state taken out.
+            T = np.concatenate([np.eye(entries), (g * d)[:, None]], axis=1)
+            inner = pseudo_inverse(full[entries:first, entries:first])
+            across = T.T @ full[:entries, entries:first]
+            H = H + T.T @ full[:entries, :entries] @ T - across @ inner @ across.T
+            gradient = gradient + T.T @ g_full[:entries] - across @ inner @ g_full[entries:first]
+            parts.append((inner, across, g_full[entries:first]))
+        H, gradient = H[np.ix_(moving, moving)], gradient[moving]
+        step = np.zeros(entries + 1)
+        step[moving] = -pseudo_inverse(H + damping * np.diag(np.diag(H))) @ gradient
+        moved = [x0 - inner @ (g0 + across.T @ step) for x0, (inner, across, g0) in zip(states, parts)]
+        trial = evaluated(theta + step[:-1], size + step[-1], moved)
+        if trial is None or not trial[2] <= cost:
+            damping = max(10 * damping, 1e-3)
+            if damping > 1e6:
+                break
+            continue
+        theta, size, states, damping = theta + step[:-1], size + step[-1], moved, damping / 10
+        now = trial
+        if cost - trial[2] < ROUGH * trial[2] / count:
+            break
+    return theta, states[0], size, now[2] / max(count, 1), count
+
+
+def _direction(context: SearchContext, effect: AbstractEffect, place: Place, entries: np.ndarray) -> np.ndarray | None:
+    """What a unit of a law does to the entries, M, D, K being as they are; None where they are none."""
+    setup, names = context.simulator.setup, ("mass", "damping", "stiffness")
+    matrices = [np.asarray(X) for X in setup.matrices(entries)]
+    if not bounded(*matrices):
+        return None
+    arm = np.asarray(arm_along(effect, place, np.zeros((setup.dofs, 1))))
+    at = names.index(effect.alters[0])
+    unit = 1e-3 * float(np.max(np.abs(matrices[at])))
+    moved = [X + unit * np.outer(arm, arm) if k == at else X for k, X in enumerate(matrices)]
+    return (setup.entries_of(*moved) - setup.entries_of(*matrices)) / unit
+
+
+def _refitted(context: SearchContext, stage: Stage, change: _Change, size: int) -> tuple[Score, Refit] | None:
+    """The refit of a law from what the windows say of it."""
+    shape = change.score.shape
+    names = [parameter.name for parameter in shape.effect.parameters]
+    context.progress.stage(f"refitting {shape.effect.id} at {shape.place.name} from the windows")
+    values = np.array(shape.values, float)
+    values[names.index(shape.effect.alters[1])] = change.size
+    begun = Candidate(change.entries, (change.x0, *stage.candidate.x0[1:]))
+    terms = [_term(change, values)] if change.around is None else _moments(context, change, values, size)
+    data = context.data[0]
+    level = np.sqrt(np.maximum(np.mean(stage.e[: data.samples] ** 2, axis=0), 1e-300))
+
+    def left(candidate: Candidate) -> float:
+        e = np.where(data.kept, data.y - context.simulator.run(candidate, data), 0.0) / level
+        return float(np.sum(e**2)) if bounded(e) else np.inf
+
+    best = min((begun.with_terms((*stage.candidate.terms, term)) for term in terms), key=left)
+    noise_model = white_noise_model(stage.e, data.kept, stage.system)
+    options = {"held": context.held, "max_steps": STEPS, "tolerance": ROUGH}
+    fit = refit(context.simulator, best, context.data, noise_model, **options)
+    if fit is None:
+        return None
+    end = refit_to_convergence(context, fit)
+    score = begun_at(change.score, np.array(best.terms[-1].values, float))
+    return None if unresolved(end, score) else (score, end)
+
+
+def _term(change: _Change, values: np.ndarray) -> Term:
+    shape = change.score.shape
+    return Term(shape.effect, shape.place, shape.effect.bounded(values))
+
+
+def _moments(context: SearchContext, change: _Change, values: np.ndarray, size: int) -> list[Term]:
+    """The law at moments around the one that the windows show."""
+    data, (time, width) = context.data[0], onset_of(change.score.shape.effect)
+    first, last = change.around[0] - size / 2, change.around[1] + size / 2
+    terms = []
+    for at in np.linspace(max(first, 1.0), min(last, data.samples - 1.0), MOMENTS):
+        moved = values.copy()
+        moved[time], moved[width] = at * data.sampling_time, data.sampling_time
+        terms.append(_term(change, moved))
+    return terms

@@ -1,0 +1,95 @@
+"""A parameter that changes over time, read off linear models of the windows of a record; laws that take the free run out
+of step, found on a short part of one."""
+
+import types
+
+import frames
+import hidden_laws
+import numpy as np
+import pytest
+
+import jaxgray
+from jaxgray.diagnosis.model.candidate import Data
+from jaxgray.diagnosis.search.parts import out_of_step
+from jaxgray.diagnosis.starts import windows
+from jaxgray.numerics.progress import AbstractProgress
+
+H = 0.01
+
+
+def shaken(effect, seed, samples=3000):
+    """Two storeys on a shaken base, lightly damped: tens of periods in which a wrong frequency falls out of step."""
+    frame = frames.Frame((120.0, 90.0), (1.9e5, 1.5e5), (60.0, 50.0))
+    rng = np.random.default_rng(seed)
+    u = 1.2 * frames.band_noise(rng, samples, 1, (0.5, 12.0), H)
+    clean = frames.shaken_with(frame, u, H, [] if effect is None else [effect])[0]
+    y = clean + 3e-3 * clean.std() * rng.standard_normal(clean.shape)
+    units = {"input_units": ["m/s^2"], "output_units": ["m/s^2"] * 2}
+    return frame, jaxgray.Record(u, y, H, hold="linear", measured="acceleration", **units)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place, storey, mass", [("y1", 0, 0), ("y1-y2", 1, 0)])
+def test_a_step_of_stiffness_is_placed_and_dated_whatever_else_could_begin_then(place, storey, mass):
+    lost = -0.1 * (1.9e5, 1.5e5)[storey]
+    frame, record = shaken(hidden_laws.Effect("stiffness_step", place, {"dk": lost, "t0": 11.237}), 12)
+    found = jaxgray.diagnose(record, excitation="base-acceleration")
+    (finding,) = (f for f in found.findings if f.stage == "model")
+    assert (finding.effect, finding.location) == ("stiffness_step", place)
+    dk, t0 = finding.parameters["dk"], finding.parameters["t0"]
+    assert abs(dk.value - lost / frame.masses[mass]) < 4 * dk.standard_error < 0.02 * abs(dk.value)
+    assert abs(t0.value - 11.237) < 4 * t0.standard_error < 0.02
+    assert found.excess < 1.05
+
+
+@pytest.mark.slow
+def test_a_stop_that_only_the_largest_motion_meets_is_found_on_a_part():
+    frame, still = shaken(None, 13)
+    drift = float(np.std(frames.shaken_with(frame, still.u, H, [])[1][:, 0]))
+    law = hidden_laws.Effect("end_stop", "y1", {"gap": 1.5 * drift, "ks": 1.9e5})
+    record = shaken(law, 13)[1]
+    stages = []
+
+    class Told(AbstractProgress):
+        def stage(self, name, *, fraction=None):
+            stages.append(name)
+
+    found = jaxgray.diagnose(record, excitation="base-acceleration", progress=Told())
+    assert "looking at a part of the record" in stages
+    (finding,) = (f for f in found.findings if f.stage == "model")
+    assert ("end_stop", "y1") in {(m.effect, m.location) for m in finding.members}
+    gap = finding.parameters["gap"]
+    assert abs(gap.value - 1.5 * drift) < 4 * gap.standard_error < 0.02 * gap.value
+    assert found.excess < 1.05
+
+
+def window(begin, hz):
+    return types.SimpleNamespace(middle=begin, hz=np.array(hz))
+
+
+def test_the_moment_of_a_change_is_where_the_frequencies_differ():
+    hz = [[2.0, 5.0]] * 4 + [[1.9, 5.0]] + [[1.8, 5.0]] * 5
+    assert windows._moment([window(k, one) for k, one in enumerate(hz)]) in (4, 5)
+    rng = np.random.default_rng(1)
+    noisy = np.array(hz) * (1 + 1e-3 * rng.standard_normal((10, 2)))
+    assert windows._moment([window(k, one) for k, one in enumerate(noisy)]) in (4, 5)
+
+
+def test_a_part_must_hold_periods_and_samples():
+    y = np.zeros((800, 1))
+    data = Data(y, y, np.ones(y.shape, bool), y[:, 0], 800, 0.01, "zero")
+    assert windows.long_enough(np.array([0.0, 4.0]), data, 100, 8)
+    assert not windows.long_enough(np.array([0.0, 2.0]), data, 100, 8), "two periods"
+    assert not windows.long_enough(np.array([4.0]), data, 100, 40), "as many numbers as samples"
+    assert not windows.long_enough(np.array([0.0]), data, 100, 8), "a rigid body has no period"
+
+
+@pytest.mark.parametrize("shift, expected", [(0.1, False), (1.5, True)])
+def test_a_run_is_out_of_step_where_it_leaves_much_of_an_output(shift, expected):
+    t = 0.05 * np.arange(400)
+    y = np.stack([np.sin(t), np.cos(t)], axis=1)
+    kept = np.ones(y.shape, bool)
+    kept[::7, 0] = False
+    data = Data(y[:, :1], np.where(kept, y, 0.0), kept, y[:, 0], 400, 0.05, "zero")
+    run = types.SimpleNamespace(run=lambda candidate, data: np.stack([np.sin(t), np.cos(t + shift)], axis=1))
+    assert out_of_step(run, None, data) is expected
