@@ -1,5 +1,5 @@
-"""A parameter that changes over time, read off linear models of the windows of a record; laws that take the free run out
-of step, found on a short part of one."""
+"""A parameter that changes over time, read off linear models of the windows of a record; laws that take the free run
+out of step, found on a short part of one."""
 
 import types
 
