@@ -46,6 +46,16 @@ MIN_RESIDUAL_SHARE = 0.02
 LARGE_RESIDUAL_SHARE = 0.3
 """Share of what is left from which a candidate is refitted though noise at the forces could explain it (benchmark)."""
 
+# Records that the linear model does not follow
+
+OUT_OF_STEP = 0.2
+"""Share of the variance of an output from which what a free run leaves of it says that it does not follow the record
+(convention)."""
+
+WINDOW_SHARE = 0.1
+"""Share of the squared residual that linear models of the ends of a record may leave where a parameter that changes
+over time is looked for in its windows, and that such a change may leave there (convention)."""
+
 # Classes
 
 CLASS_DELTA_BIC = 6.0
@@ -57,14 +67,6 @@ up at twice this (benchmark)."""
 
 CONTACT = frozenset({DeadZoneStiffness.id, EndStop.id})
 """Laws that differ in their name alone, by how much of the record is spent in contact."""
-
-OUT_OF_STEP = 0.2
-"""Share of the square of an output from which what a free run leaves of it says that it does not follow the record
-(convention)."""
-
-WINDOW_SHARE = 0.1
-"""Share of the squared residual that linear models of the ends of a record may leave where a parameter that changes
-over time is looked for in its windows, and that such a change may leave there (convention)."""
 
 # Held-out data
 

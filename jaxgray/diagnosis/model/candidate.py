@@ -53,7 +53,7 @@ class Data:
         )
 
     def part(self, begin: int, size: int, *, padded: bool = False) -> "Data":
-        """A part of the record, itself where it is no longer than that; `padded`: to the record's own length."""
+        """A part of the record; the record itself where it is shorter. `padded`: to the record's own length."""
         if self.samples <= size:
             return self
         rows, more = slice(begin, begin + size), len(self.u) - size if padded else 0

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
+from ...numerics.progress import BudgetSpent
 from .. import settings
 from ..estimation.context import Identified, SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, settled
@@ -23,10 +24,11 @@ from ..estimation.gauss_newton import Refit, refit
 from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
 from ..model.simulator import Simulator, natural_frequencies_hz
-from ..noise.whitening import white_noise_model
+from ..noise.whitening import white_noise_model, white_part
 from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import screen_simulated
 from ..starts.windows import long_enough
+from .backward import prune
 from .final_swap import swap_rivals
 from .forward import extend, select_forward
 from .state import SearchState, held_out_run, stage_of_candidate
@@ -41,7 +43,7 @@ LONGER = 4
 """By how much longer the next part is where one shows nothing."""
 
 SHORT = 4
-"""Parts of a record with which the free run falls out of step, of which one is searched first."""
+"""How many times longer a record is than the part that is searched first where the free run does not follow it."""
 
 STEPS = 10
 """Of each refit on the whole record."""
@@ -69,7 +71,8 @@ def search(
     errors: tuple[AbstractEffect, ...] = (),
     identified: Identify | None = None,
 ) -> tuple[SearchState, "Searched"]:
-    """Extend the baseline until nothing more is found, on parts of long records first.
+    """Extend the baseline until nothing more is found, on a part first where records are long or the free run does not
+    follow them.
 
     **Arguments:** `context`; `baseline`; `max_effects`; `errors`: as for `select_forward`, where numbers of a given
     model may be wrong: the whole record is then searched; `identified`: gives the linear model of a part, None where
@@ -101,47 +104,70 @@ def _from_short_part(
     """The search begun with what a short part shows, where the free run is out of step with the record; None where it
     is not, or what is found there does not bring it into step."""
     start, data = baseline.start, context.data[0]
-    if identified is None or not out_of_step(context.simulator, start, data):
+    missed, size = missed_share(context.simulator, start, data), data.samples // SHORT
+    numbers = len(start.entries) + len(start.x0[0])
+    if identified is None or max_effects == 0 or missed < settings.OUT_OF_STEP:
         return None
-    size = data.samples // SHORT
-    if not long_enough(natural_frequencies_hz(baseline.model), data, size, len(start.entries) + len(start.x0[0])):
+    if not long_enough(natural_frequencies_hz(baseline.model), data, size, numbers):
         return None
-    context.progress.unlimited.stage("looking at a part of the record")
+    try:
+        context.progress.stage("looking at a part of the record")
+    except BudgetSpent:
+        return None
+    steps = context.simulator.substeps
     begins = [_liveliest(d, size) for d in context.data]
-    part, *_ = _part(context, baseline, size, like=True)
-    own = identified([slice(begin, begin + size) for begin in begins], part.data)
+    lasting = tuple(effect for effect in context.catalogue if not effect.tied_to_clock)
+    data_of_part = [d.part(begin, size, padded=True) for d, begin in zip(context.data, begins)]
+    held = [d.part(_liveliest(d, size), size, padded=True) for d in context.validation]
+    part = dataclasses.replace(context, data=data_of_part, validation=held, catalogue=lasting)
+    own = identified([slice(begin, begin + size) for begin in begins], data_of_part)
     if own is None:
         return None
     found = select_forward(part, Candidate(own.entries, own.x0), max_effects)
     whole = _carried_over(context, start, found) if found.accepted else None
-    if whole is None or out_of_step(context.simulator, whole.fit.candidate, data):
+    if whole is None or not _much_nearer(context, whole.fit.candidate, missed):
+        # What was followed in short steps was another law's force.
+        context.simulator.substeps = steps
         return None
-    if (left := max_effects - len(whole.accepted)) > 0:
-        extend(context, whole, left, (*context.catalogue, FlexibleForce()))
-        swap_rivals(context, whole)
+    # Rivals are refitted beside what is found on the whole, and nothing that the part ruled out stays so.
+    for k, accepted in enumerate(whole.accepted):
+        rivals = tuple(dataclasses.replace(rival, criterion=np.inf) for rival in accepted.rivals)
+        whole.accepted[k] = dataclasses.replace(accepted, rivals=rivals)
+    whole.ruled_out = frozenset()
+    prune(context, whole)
+    extend(context, whole, max(max_effects - len(whole.accepted), 0), (*context.catalogue, FlexibleForce()))
+    swap_rivals(context, whole)
     return whole
 
 
-def out_of_step(simulator: Simulator, candidate: Candidate, data: Data) -> bool:
-    """Whether the free run of a candidate is so far from some output of a record that it does not follow it."""
+def missed_share(simulator: Simulator, candidate: Candidate, data: Data) -> float:
+    """The largest share of the variance of an output that the free run of a candidate leaves, white noise not counted;
+    outputs that do not move are left out."""
     kept = data.kept[: data.samples]
-    y = np.where(kept, data.y[: data.samples], np.nan)
-    e = y - simulator.run(candidate, data)[: data.samples]
-    share = np.nanvar(e, axis=0) / np.maximum(np.nanvar(y, axis=0), 1e-300)
-    return not np.max(share) < settings.OUT_OF_STEP
+    y = np.where(kept, data.y[: data.samples], 0.0)
+    e = np.where(kept, y - simulator.run(candidate, data)[: data.samples], 0.0)
+    count = np.maximum(kept.sum(axis=0), 1)
+
+    def variance(x):
+        return np.sum(np.where(kept, x - x.sum(axis=0) / count, 0.0) ** 2, axis=0) / count
+
+    size = variance(y)
+    left = np.maximum(variance(e) - white_part(e, kept), 0.0)
+    moving = size > 1e-12 * max(float(size.max()), 1e-300)
+    return float(np.max(left[moving] / size[moving], initial=0.0))
 
 
-def _part(
-    context: SearchContext, baseline: Baseline, size: int, *, like: bool = False
-) -> tuple[SearchContext, Candidate, str]:
-    """The context with the liveliest part of every record, the baseline with its first states there, and which part.
+def _much_nearer(context: SearchContext, candidate: Candidate, missed: float) -> bool:
+    """Whether the free run of a candidate leaves much less of the record than one that leaves such a share."""
+    return missed_share(context.simulator, candidate, context.data[0]) < settings.MUCH_NEARER**2 * missed
 
-    `like`: parts are padded to the length of the records, so that nothing more is compiled.
-    """
+
+def _part(context: SearchContext, baseline: Baseline, size: int) -> tuple[SearchContext, Candidate, str]:
+    """The context with the liveliest part of every record, the baseline with its first states there, and which part."""
     lasting = tuple(effect for effect in context.catalogue if not effect.tied_to_clock)
     begins = [_liveliest(d, size) for d in context.data]
-    data = [d.part(begin, size, padded=like) for d, begin in zip(context.data, begins)]
-    held = [d.part(_liveliest(d, size), size, padded=like) for d in context.validation]
+    data = [d.part(begin, size) for d, begin in zip(context.data, begins)]
+    held = [d.part(_liveliest(d, size), size) for d in context.validation]
     model = baseline.model
     states = []
     for d in data:
@@ -157,8 +183,9 @@ def _liveliest(data: Data, size: int) -> int:
     """Where the part of a record begins whose outputs, each in units of its own size, move most."""
     if data.samples <= size:
         return 0
-    y = np.where(data.kept, data.y, 0.0)[: data.samples]
-    y = y - y.mean(axis=0)
+    kept = data.kept[: data.samples]
+    y = np.where(kept, data.y[: data.samples], 0.0)
+    y = np.where(kept, y - y.sum(axis=0) / np.maximum(kept.sum(axis=0), 1), 0.0)
     power = np.sum(y**2 / np.maximum(np.mean(y**2, axis=0), 1e-300), axis=1)
     total = np.concatenate([[0.0], np.cumsum(power)])
     begins = np.arange(0, data.samples - size + 1, max(size // 4, 1))

@@ -40,9 +40,9 @@ STEPS = 20
 
 
 def identified(simulator: Simulator, records: list[Record], data: list[Data], options: dict) -> Identified | None:
-    """The model that the records themselves give, its inputs and laws those of the user's; None where there is none.
+    """The model that the records themselves give, with the inputs and laws of another one; None where there is none.
 
-    **Arguments:** `simulator` of the user's model; `records`, and as `data`; `options` of `identify`.
+    **Arguments:** `simulator` of that model; `records`, and as `data`; `options` of `identify`.
     """
     drive = simulator.setup.drive
     places = {"input_map": np.asarray(drive.input_map)} if isinstance(drive, Force) else {}

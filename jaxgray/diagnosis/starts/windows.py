@@ -36,7 +36,7 @@ from ..screening.score_test import Score, Screening
 from ..screening.shortlist import begun_at
 
 WINDOWS = 8
-"""Windows that a record is divided into; as many lie across the borders."""
+"""Windows that a record is divided into; others lie across their borders."""
 
 PERIODS = 3.0
 """Of the slowest mode that a window must hold."""
@@ -44,14 +44,17 @@ PERIODS = 3.0
 ROWS = 4
 """Samples of a window for every number that is fitted to it."""
 
+RIGID = 1e-4
+"""Frequency, relative to the highest, up to which a mode is that of a rigid body."""
+
 STEPS = 25
 """Of the refit of a window, and of the first refit of a law."""
 
 TOGETHER = 4
-"""Windows that a law is refitted to together, from the first to the last, as many on both sides of a change."""
+"""Windows that a law without a moment is refitted to together."""
 
-BEGUN = 2
-"""Laws that are begun so at most."""
+BEGUN = 3
+"""Laws that are refitted to the whole record, at most."""
 
 MOMENTS = 48
 """Moments that a change is tried at, over the windows on both sides of it."""
@@ -59,15 +62,17 @@ MOMENTS = 48
 
 @dataclass(frozen=True)
 class _Window:
-    """A linear model of one window: `data`; `entries`; `x0`; natural frequencies `hz`; sample at its `middle`; the
-    `noise_model` of what the whole record's model leaves there, and the share of its square that is `left`."""
+    """A linear model of one window: `data`; `entries` and first state `x0`, with the values of `terms` found before;
+    natural frequencies `hz`; sample at its `middle`; the squares that the whole record's model leaves there (`before`)
+    and that are `left`."""
 
     data: Data
     entries: Float[np.ndarray, " entries"]
     x0: Float[np.ndarray, " states"]
+    terms: tuple[Term, ...]
     hz: Float[np.ndarray, " modes"]
     middle: float
-    noise_model: NoiseModel
+    before: float
     left: float
 
 
@@ -94,7 +99,7 @@ def changes_over_time(
 
     **Arguments:** `context`; `stage`; `screening`: of that stage.
     """
-    laws = [] if np.any(context.held & ~context.simulator.setup.held) else _laws(screening)
+    laws = [] if np.all(context.held) else _laws(screening)
     lasting = not any(term.effect.tied_to_clock for term in stage.candidate.terms)
     data = context.data[0]
     size = data.samples // WINDOWS
@@ -102,18 +107,19 @@ def changes_over_time(
     if not laws or not lasting or not long_enough(hz, data, size, numbers):
         return {}
     # The ends alone first: where another law than a change is missing, no linear model fits them much better.
-    ends = [_fitted(context, stage, begin, size) for begin in (0, data.samples - size)]
-    if any(window is None or window.left > settings.WINDOW_SHARE for window in ends):
+    noise_model = _level(stage, data)
+    ends = side_by_side(lambda begin: _fitted(context, stage, noise_model, begin, size), (0, data.samples - size))
+    if any(window is None for window in ends) or not _share(ends) < settings.WINDOW_SHARE:
         return {}
     context.progress.stage("fitting windows of the record")
     begins = np.arange(max(size // 2, 1), data.samples - size, max(size // 2, 1))
-    inner = side_by_side(lambda begin: _fitted(context, stage, int(begin), size), begins)
+    inner = side_by_side(lambda begin: _fitted(context, stage, noise_model, int(begin), size), begins)
     windows = [ends[0], *(window for window in inner if window is not None), ends[1]]
-    changes = side_by_side(lambda law: _read(context, stage, law, windows), laws)
+    changes = side_by_side(lambda law: _read(context, noise_model, law, windows), laws)
     near = [change for change in changes if change is not None and change.left < settings.WINDOW_SHARE]
     near = sorted(near, key=lambda change: change.left)
-    near = [c for c in near if c.rows * np.log(c.left / near[0].left) < settings.MAX_CRITERION_GAP][:BEGUN]
-    refits = side_by_side(lambda change: _refitted(context, stage, change, size), near)
+    near = [c for c in near if c.rows * np.log(c.left / max(near[0].left, 1e-300)) < settings.MAX_CRITERION_GAP][:BEGUN]
+    refits = side_by_side(lambda change: _refitted(context, stage, noise_model, change, size), near)
     named = {(c.score.shape.effect.id, c.score.shape.place.name): end for c, end in zip(near, refits)}
     return {name: end for name, end in named.items() if end is not None}
 
@@ -133,34 +139,44 @@ def long_enough(hz: np.ndarray, data: Data, size: int, numbers: int) -> bool:
 
     **Arguments:** `hz`: natural frequencies, lowest first; `data`; `size` of the part [samples]; `numbers`.
     """
-    slowest = hz[hz > 0][:1]
+    slowest = hz[hz > RIGID * hz[-1]][:1]
     return len(slowest) > 0 and size * data.sampling_time * slowest[0] >= PERIODS and size >= ROWS * numbers
 
 
-def _fitted(context: SearchContext, stage: Stage, begin: int, size: int) -> _Window | None:
+def _level(stage: Stage, data: Data) -> NoiseModel:
+    """White noise of every output as large as what the model of the whole record leaves there."""
+    level = np.sqrt(np.sum(stage.e**2, axis=0) / np.maximum(data.kept.sum(axis=0), 1))
+    level = np.maximum(level, max(1e-6 * float(level.max()), 1e-300))
+    return dataclasses.replace(white_noise_model(stage.e, data.kept, stage.system), level=level, lower=np.diag(level))
+
+
+def _share(windows: list[_Window]) -> float:
+    """What the windows' own models leave of the squares that the whole record's model leaves in them."""
+    return sum(window.left for window in windows) / max(sum(window.before for window in windows), 1e-300)
+
+
+def _fitted(context: SearchContext, stage: Stage, noise_model: NoiseModel, begin: int, size: int) -> _Window | None:
     """The linear model refitted to one window, from that of the stage; None where it cannot be simulated."""
     data = context.data[0]
     window, kept = data.part(begin, size, padded=True), data.kept[begin : begin + size]
-    if not np.any(kept):
+    if not np.all(np.any(kept, axis=0)):
         return None
-    e = np.where(kept, stage.e[begin : begin + size], 0.0)
-    level = np.sqrt(np.sum(e**2, axis=0) / np.maximum(kept.sum(axis=0), 1)) + 1e-300
-    white = white_noise_model(stage.e, data.kept, stage.system)
-    noise_model = dataclasses.replace(white, level=level, lower=np.diag(level))
+    before = float(np.sum((np.where(kept, stage.e[begin : begin + size], 0.0) / noise_model.level) ** 2))
     begun = Candidate(stage.candidate.entries, (np.zeros_like(stage.candidate.x0[0]),), stage.candidate.terms)
     fit = refit(context.simulator, begun, [window], noise_model, max_steps=STEPS, tolerance=ROUGH)
     if fit is None:
         return None
-    found, left = fit.candidate, fit.cost / max(fit.count, 1)
+    found = fit.candidate
     hz = natural_frequencies_hz(context.simulator.plant(found))
-    return _Window(window, found.entries, found.x0[0], hz, begin + size / 2, noise_model, left)
+    left = float(np.sum((fit.residual[0] / noise_model.level) ** 2))
+    return _Window(window, found.entries, found.x0[0], found.terms, hz, begin + size / 2, before, left)
 
 
-def _read(context: SearchContext, stage: Stage, score: Score, windows: list[_Window]) -> _Change | None:
+def _read(context: SearchContext, noise_model: NoiseModel, score: Score, windows: list[_Window]) -> _Change | None:
     """What the windows say of one law; None where they say nothing."""
     effect, samples = score.shape.effect, context.data[0].samples
     if effect.onset:
-        k = _moment(windows)
+        k = moment_of(np.array([window.hz for window in windows]))
         # Clear of the change, and as far from one another as they can be.
         sides = windows[: max(k - 1, 1)], windows[min(k + 1, len(windows) - 1) :]
         chosen = [window for side in sides for window in ([side[0]] if len(side) == 1 else [side[0], side[-1]])]
@@ -169,33 +185,44 @@ def _read(context: SearchContext, stage: Stage, score: Score, windows: list[_Win
     else:
         chosen = [windows[k] for k in np.linspace(0, len(windows) - 1, TOGETHER).astype(int)]
         course, around = [window.middle / samples for window in chosen], None
-    found = _together(context, stage, score.shape.effect, score.shape.place, chosen, course)
-    return None if found is None else _Change(score, *found[:3], around, *found[3:])
+    found = _together(context, noise_model, effect, score.shape.place, chosen, course)
+    if found is None:
+        return None
+    *values, left, rows = found
+    return _Change(score, *values, around, left / max(sum(window.before for window in chosen), 1e-300), rows)
 
 
-def _moment(windows: list[_Window]) -> int:
-    """The first window after a change at once of the natural frequencies, which nothing but the model's rates tell."""
-    hz = np.log(np.maximum(np.array([window.hz for window in windows]), 1e-12))
+def moment_of(hz: Float[np.ndarray, "windows modes"]) -> int:
+    """The first window after a change at once, from the natural frequencies [Hz] of all windows: each mode in units of
+    its scatter from one window to the next, modes of a rigid body left out."""
+    size = np.median(hz, axis=0)
+    hz = hz[:, size > RIGID * size.max()]
+    noise = np.median(np.abs(np.diff(hz, axis=0)), axis=0)
+    z = hz / np.maximum(noise, 1e-9 * np.median(hz, axis=0))
 
     def scatter(k: int) -> float:
-        return sum(float(np.sum((side - np.median(side, axis=0)) ** 2)) for side in (hz[:k], hz[k:]))
+        return sum(float(np.sum(np.abs(side - np.median(side, axis=0)))) for side in (z[:k], z[k:]))
 
-    return min(range(1, len(windows)), key=scatter)
+    return min(range(1, len(hz)), key=scatter)
 
 
 def _together(
-    context: SearchContext, stage: Stage, effect: AbstractEffect, place: Place, windows: list[_Window], course
+    context: SearchContext,
+    noise_model: NoiseModel,
+    effect: AbstractEffect,
+    place: Place,
+    windows: list[_Window],
+    course: list[float],
 ) -> tuple[np.ndarray, np.ndarray, float, float, int] | None:
     """The entries, the first state of the first window, the size of a law, what it leaves, and the rows:
     refitted to some windows together by damped Gauss-Newton; None where that cannot be simulated.
 
-    **Arguments:** `context`; `stage`; `effect`; `place`; `windows`; `course`: how much of the law acts in each.
+    **Arguments:** `context`; `noise_model`; `effect`; `place`; `windows`; `course`: how much of the law acts in each.
     """
-    setup, terms = context.simulator.setup, stage.candidate.terms
-    equations = []
+    setup, equations = context.simulator.setup, []
     for window in windows:
-        layout = Layout(setup, Candidate(window.entries, (window.x0,), terms))
-        equations.append(Equations(context.simulator, [window.data], window.noise_model, layout))
+        layout = Layout(setup, Candidate(window.entries, (window.x0,), window.terms))
+        equations.append(Equations(context.simulator, [window.data], noise_model, layout))
     theta, size, states = windows[0].entries, 0.0, [window.x0 for window in windows]
     entries, first = len(theta), len(theta) + len(states[0])
     moving = np.concatenate([~setup.held, [True]])
@@ -204,7 +231,8 @@ def _together(
         d = _direction(context, effect, place, theta)
         if d is None:
             return None
-        made = [eq(Candidate(theta + g * size * d, (x0,), terms)) for eq, g, x0 in zip(equations, course, states)]
+        parts = zip(equations, course, states, windows)
+        made = [eq(Candidate(theta + g * size * d, (x0,), window.terms)) for eq, g, x0, window in parts]
         return None if any(one is None for one in made) else (d, made, sum(one[2] for one in made))
 
     now, damping = evaluated(theta, size, states), 1e-6
@@ -236,7 +264,7 @@ def _together(
         now = trial
         if cost - trial[2] < ROUGH * trial[2] / count:
             break
-    return theta, states[0], size, now[2] / max(count, 1), count
+    return theta, states[0], size, now[2], count
 
 
 def _direction(context: SearchContext, effect: AbstractEffect, place: Place, entries: np.ndarray) -> np.ndarray | None:
@@ -252,24 +280,27 @@ def _direction(context: SearchContext, effect: AbstractEffect, place: Place, ent
     return (setup.entries_of(*moved) - setup.entries_of(*matrices)) / unit
 
 
-def _refitted(context: SearchContext, stage: Stage, change: _Change, size: int) -> tuple[Score, Refit] | None:
+def _refitted(
+    context: SearchContext, stage: Stage, noise_model: NoiseModel, change: _Change, size: int
+) -> tuple[Score, Refit] | None:
     """The refit of a law from what the windows say of it."""
     shape = change.score.shape
     names = [parameter.name for parameter in shape.effect.parameters]
     context.progress.stage(f"refitting {shape.effect.id} at {shape.place.name} from the windows")
     values = np.array(shape.values, float)
     values[names.index(shape.effect.alters[1])] = change.size
-    begun = Candidate(change.entries, (change.x0, *stage.candidate.x0[1:]))
+    setup = context.simulator.setup
+    # By matrices that are possible: the steps over windows know no cone.
+    entries = setup.entries_of(*setup.matrices(change.entries))
+    begun = Candidate(entries, (change.x0, *stage.candidate.x0[1:]))
     terms = [_term(change, values)] if change.around is None else _moments(context, change, values, size)
     data = context.data[0]
-    level = np.sqrt(np.maximum(np.mean(stage.e[: data.samples] ** 2, axis=0), 1e-300))
 
     def left(candidate: Candidate) -> float:
-        e = np.where(data.kept, data.y - context.simulator.run(candidate, data), 0.0) / level
+        e = np.where(data.kept, data.y - context.simulator.run(candidate, data), 0.0) / noise_model.level
         return float(np.sum(e**2)) if bounded(e) else np.inf
 
     best = min((begun.with_terms((*stage.candidate.terms, term)) for term in terms), key=left)
-    noise_model = white_noise_model(stage.e, data.kept, stage.system)
     options = {"held": context.held, "max_steps": STEPS, "tolerance": ROUGH}
     fit = refit(context.simulator, best, context.data, noise_model, **options)
     if fit is None:
