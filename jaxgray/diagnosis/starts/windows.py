@@ -115,7 +115,14 @@ def changes_over_time(
     begins = np.arange(max(size // 2, 1), data.samples - size, max(size // 2, 1))
     inner = side_by_side(lambda begin: _fitted(context, stage, noise_model, int(begin), size), begins)
     windows = [ends[0], *(window for window in inner if window is not None), ends[1]]
-    changes = side_by_side(lambda law: _read(context, noise_model, law, windows), laws)
+    k = moment_of(np.array([window.hz for window in windows]))
+    # Clear of the change.
+    sides = windows[: max(k - 1, 1)], windows[min(k + 1, len(windows) - 1) :]
+    if not all(_alike(context, noise_model, side) for side in sides):
+        # No change at once of the linear model: these laws would be refitted in vain.
+        laws = [law for law in laws if not law.shape.effect.onset]
+    around = windows[k - 1].middle, windows[k].middle
+    changes = side_by_side(lambda law: _read(context, noise_model, law, windows, sides, around), laws)
     near = [change for change in changes if change is not None and change.left < settings.WINDOW_SHARE]
     near = sorted(near, key=lambda change: change.left)
     near = [c for c in near if c.rows * np.log(c.left / max(near[0].left, 1e-300)) < settings.MAX_CRITERION_GAP][:BEGUN]
@@ -172,20 +179,36 @@ def _fitted(context: SearchContext, stage: Stage, noise_model: NoiseModel, begin
     return _Window(window, found.entries, found.x0[0], found.terms, hz, begin + size / 2, before, left)
 
 
-def _read(context: SearchContext, noise_model: NoiseModel, score: Score, windows: list[_Window]) -> _Change | None:
-    """What the windows say of one law; None where they say nothing."""
+def _alike(context: SearchContext, noise_model: NoiseModel, windows: list[_Window]) -> bool:
+    """Whether one linear model explains the first and the last of some windows."""
+    chosen = _far_apart(windows)
+    found = _together(context, noise_model, None, chosen, [0.0] * len(chosen))
+    before = sum(window.before for window in chosen)
+    return found is not None and found[3] < settings.WINDOW_SHARE * before
+
+
+def _far_apart(windows: list[_Window]) -> list[_Window]:
+    return windows if len(windows) == 1 else [windows[0], windows[-1]]
+
+
+def _read(
+    context: SearchContext,
+    noise_model: NoiseModel,
+    score: Score,
+    windows: list[_Window],
+    sides: tuple[list[_Window], list[_Window]],
+    around: tuple[float, float],
+) -> _Change | None:
+    """What the windows say of one law, those on both sides of a change for one that begins at once; None where they
+    say nothing."""
     effect, samples = score.shape.effect, context.data[0].samples
     if effect.onset:
-        k = moment_of(np.array([window.hz for window in windows]))
-        # Clear of the change, and as far from one another as they can be.
-        sides = windows[: max(k - 1, 1)], windows[min(k + 1, len(windows) - 1) :]
-        chosen = [window for side in sides for window in ([side[0]] if len(side) == 1 else [side[0], side[-1]])]
+        chosen = [window for side in sides for window in _far_apart(side)]
         course = [float(window.middle > sides[0][-1].middle) for window in chosen]
-        around = windows[k - 1].middle, windows[k].middle
     else:
         chosen = [windows[k] for k in np.linspace(0, len(windows) - 1, TOGETHER).astype(int)]
         course, around = [window.middle / samples for window in chosen], None
-    found = _together(context, noise_model, effect, score.shape.place, chosen, course)
+    found = _together(context, noise_model, (effect, score.shape.place), chosen, course)
     if found is None:
         return None
     *values, left, rows = found
@@ -209,15 +232,15 @@ def moment_of(hz: Float[np.ndarray, "windows modes"]) -> int:
 def _together(
     context: SearchContext,
     noise_model: NoiseModel,
-    effect: AbstractEffect,
-    place: Place,
+    law: tuple[AbstractEffect, Place] | None,
     windows: list[_Window],
     course: list[float],
 ) -> tuple[np.ndarray, np.ndarray, float, float, int] | None:
-    """The entries, the first state of the first window, the size of a law, what it leaves, and the rows:
-    refitted to some windows together by damped Gauss-Newton; None where that cannot be simulated.
+    """The entries, the first state of the first window, the size of a law, what is left, and of how many rows: refitted
+    to some windows together by damped Gauss-Newton; None where that cannot be simulated.
 
-    **Arguments:** `context`; `noise_model`; `effect`; `place`; `windows`; `course`: how much of the law acts in each.
+    **Arguments:** `context`; `noise_model`; `law`: effect and place, None for none; `windows`; `course`: how much of
+    the law acts in each.
     """
     setup, equations = context.simulator.setup, []
     for window in windows:
@@ -225,10 +248,10 @@ def _together(
         equations.append(Equations(context.simulator, [window.data], noise_model, layout))
     theta, size, states = windows[0].entries, 0.0, [window.x0 for window in windows]
     entries, first = len(theta), len(theta) + len(states[0])
-    moving = np.concatenate([~setup.held, [True]])
+    moving = np.concatenate([~setup.held, [law is not None]])
 
     def evaluated(theta, size, states):
-        d = _direction(context, effect, place, theta)
+        d = np.zeros(entries) if law is None else _direction(context, *law, theta)
         if d is None:
             return None
         parts = zip(equations, course, states, windows)
