@@ -27,7 +27,7 @@ from ..model.simulator import Simulator, natural_frequencies_hz
 from ..noise.whitening import white_noise_model, white_part
 from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import screen_simulated
-from ..starts.windows import long_enough
+from ..starts.windows import long_enough, slowest_of
 from .backward import prune
 from .final_swap import swap_rivals
 from .forward import extend, select_forward
@@ -42,8 +42,11 @@ LONG = 2.0
 LONGER = 4
 """By how much longer the next part is where one shows nothing."""
 
-SHORT = 4
-"""How many times longer a record is than the part that is searched first where the free run does not follow it."""
+PERIODS = 10.0
+"""Periods of the slowest mode in the part that is searched first where the free run does not follow a record."""
+
+SHARE = 0.25
+"""Of the record that this part is, at most."""
 
 STEPS = 10
 """Of each refit on the whole record."""
@@ -104,11 +107,12 @@ def _from_short_part(
     """The search begun with what a short part shows, where the free run is out of step with the record; None where it
     is not, or what is found there does not bring it into step."""
     start, data = baseline.start, context.data[0]
-    missed, size = missed_share(context.simulator, start, data), data.samples // SHORT
-    numbers = len(start.entries) + len(start.x0[0])
+    missed, hz = missed_share(context.simulator, start, data), natural_frequencies_hz(baseline.model)
     if identified is None or max_effects == 0 or missed < settings.OUT_OF_STEP:
         return None
-    if not long_enough(natural_frequencies_hz(baseline.model), data, size, numbers):
+    slowest, numbers = slowest_of(hz), len(start.entries) + len(start.x0[0])
+    size = int(min(SHARE * data.samples, PERIODS / max(slowest * data.sampling_time, 1e-300)))
+    if not long_enough(hz, data, size, numbers):
         return None
     try:
         context.progress.stage("looking at a part of the record")

@@ -56,8 +56,11 @@ TOGETHER = 4
 BEGUN = 3
 """Laws that are refitted to the whole record, at most."""
 
-MOMENTS = 48
-"""Moments that a change is tried at, over the windows on both sides of it."""
+CLEAR = 2
+"""Windows left out on either side of a change."""
+
+MOMENTS = 64
+"""Moments that a change is tried at, over as many windows on both sides of it."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +119,8 @@ def changes_over_time(
     inner = side_by_side(lambda begin: _fitted(context, stage, noise_model, int(begin), size), begins)
     windows = [ends[0], *(window for window in inner if window is not None), ends[1]]
     k = moment_of(np.array([window.hz for window in windows]))
-    # Clear of the change.
-    sides = windows[: max(k - 1, 1)], windows[min(k + 1, len(windows) - 1) :]
+    # Clear of the change, also where it was taken for the next window's.
+    sides = windows[: max(k - CLEAR, 1)], windows[min(k + CLEAR, len(windows) - 1) :]
     if not all(_alike(context, noise_model, side) for side in sides):
         # No change at once of the linear model: these laws would be refitted in vain.
         laws = [law for law in laws if not law.shape.effect.onset]
@@ -146,8 +149,12 @@ def long_enough(hz: np.ndarray, data: Data, size: int, numbers: int) -> bool:
 
     **Arguments:** `hz`: natural frequencies, lowest first; `data`; `size` of the part [samples]; `numbers`.
     """
-    slowest = hz[hz > RIGID * hz[-1]][:1]
-    return len(slowest) > 0 and size * data.sampling_time * slowest[0] >= PERIODS and size >= ROWS * numbers
+    return size * data.sampling_time * slowest_of(hz) >= PERIODS and size >= ROWS * numbers
+
+
+def slowest_of(hz: np.ndarray) -> float:
+    """The lowest natural frequency [Hz] of several, lowest first, that is no rigid body's; 0 where there is none."""
+    return float(next(iter(hz[hz > RIGID * hz[-1]]), 0.0))
 
 
 def _level(stage: Stage, data: Data) -> NoiseModel:
@@ -259,6 +266,13 @@ def _together(
         return None if any(one is None for one in made) else (d, made, sum(one[2] for one in made))
 
     now, damping = evaluated(theta, size, states), 1e-6
+    if law is not None:
+        # A change of half of a matrix is out of reach of the slope at none: also from what the last window's own
+        # entries say.
+        begun = _size_between(windows[0], windows[-1], equations[-1], _direction(context, *law, theta), course[-1])
+        other = None if begun is None else evaluated(theta, begun, states)
+        if other is not None and (now is None or other[2] < now[2]):
+            now, size = other, begun
     if now is None:
         return None
     count = sum(one[3] for one in now[1])
@@ -288,6 +302,19 @@ def _together(
         if cost - trial[2] < ROUGH * trial[2] / count:
             break
     return theta, states[0], size, now[2], count
+
+
+def _size_between(first: _Window, last: _Window, equations: Equations, d: np.ndarray | None, share: float):
+    """The size of a law, of which such a share acts in the last window, that is nearest to the difference of two
+    windows' entries as the last one sees it; None where it sees none."""
+    made = equations(Candidate(last.entries, (last.x0,), last.terms))
+    if made is None or d is None:
+        return None
+    n, full = len(d), made[0]
+    to = n + len(last.x0)
+    H = full[:n, :n] - full[:n, n:to] @ pseudo_inverse(full[n:to, n:to]) @ full[n:to, :n]
+    seen = share * float(d @ H @ d)
+    return float(d @ H @ (last.entries - first.entries)) / seen if seen > 0 else None
 
 
 def _direction(context: SearchContext, effect: AbstractEffect, place: Place, entries: np.ndarray) -> np.ndarray | None:
@@ -341,7 +368,7 @@ def _term(change: _Change, values: np.ndarray) -> Term:
 def _moments(context: SearchContext, change: _Change, values: np.ndarray, size: int) -> list[Term]:
     """The law at moments around the one that the windows show."""
     data, (time, width) = context.data[0], onset_of(change.score.shape.effect)
-    first, last = change.around[0] - size / 2, change.around[1] + size / 2
+    first, last = change.around[0] - size, change.around[1] + size
     terms = []
     for at in np.linspace(max(first, 1.0), min(last, data.samples - 1.0), MOMENTS):
         moved = values.copy()
