@@ -106,3 +106,4 @@ def test_what_a_run_misses_is_a_share_of_the_outputs_that_move():
     assert missed(1.0, 0.0) == pytest.approx(2 - 2 * np.cos(1.0), rel=0.02)
     # Noise as large as the motion is not missed.
     assert missed(0.0, 0.7) < 0.1
+    assert missed(np.nan, 0.0) == np.inf

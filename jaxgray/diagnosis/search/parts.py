@@ -16,6 +16,7 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
+from ...numerics.bounded import bounded
 from ...numerics.progress import BudgetSpent
 from .. import settings
 from ..estimation.context import Identified, SearchContext, noise_model_of
@@ -146,10 +147,12 @@ def _from_short_part(
 
 def missed_share(simulator: Simulator, candidate: Candidate, data: Data) -> float:
     """The largest share of the variance of an output that the free run of a candidate leaves, white noise not counted;
-    outputs that do not move are left out."""
+    outputs that do not move are left out. Infinite where the run overflows."""
     kept = data.kept[: data.samples]
     y = np.where(kept, data.y[: data.samples], 0.0)
     e = np.where(kept, y - simulator.run(candidate, data)[: data.samples], 0.0)
+    if not bounded(e):
+        return float("inf")
     count = np.maximum(kept.sum(axis=0), 1)
 
     def variance(x):
