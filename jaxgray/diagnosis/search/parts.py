@@ -5,7 +5,7 @@ times as long, up to the whole, where it shows nothing. What belongs to the cloc
 stiffness, is looked for in the whole.
 
 A strong effect takes the free run of the linear model out of step with the record, and scores about it then name
-anything. Over a few periods it has no time to: a short part with a linear model of its own is searched first.
+anything. A short part, with a linear model of its own, is less out of step, and is searched first.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ from ..model.simulator import Simulator, natural_frequencies_hz
 from ..noise.whitening import white_noise_model, white_part
 from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import screen_simulated
-from ..starts.windows import long_enough, slowest_of
+from ..starts.windows import long_enough
 from .backward import prune
 from .final_swap import swap_rivals
 from .forward import extend, select_forward
@@ -43,11 +43,8 @@ LONG = 2.0
 LONGER = 4
 """By how much longer the next part is where one shows nothing."""
 
-PERIODS = 10.0
-"""Periods of the slowest mode in the part that is searched first where the free run does not follow a record."""
-
-SHARE = 0.25
-"""Of the record that this part is, at most."""
+SHORT = 4
+"""How many times longer a record is than the part that is searched first where the free run does not follow it."""
 
 STEPS = 10
 """Of each refit on the whole record."""
@@ -108,12 +105,11 @@ def _from_short_part(
     """The search begun with what a short part shows, where the free run is out of step with the record; None where it
     is not, or what is found there does not bring it into step."""
     start, data = baseline.start, context.data[0]
-    missed, hz = missed_share(context.simulator, start, data), natural_frequencies_hz(baseline.model)
+    missed, size = missed_share(context.simulator, start, data), data.samples // SHORT
     if identified is None or max_effects == 0 or missed < settings.OUT_OF_STEP:
         return None
-    slowest, numbers = slowest_of(hz), len(start.entries) + len(start.x0[0])
-    size = int(min(SHARE * data.samples, PERIODS / max(slowest * data.sampling_time, 1e-300)))
-    if not long_enough(hz, data, size, numbers):
+    numbers = len(start.entries) + len(start.x0[0])
+    if not long_enough(natural_frequencies_hz(baseline.model), data, size, numbers):
         return None
     try:
         context.progress.stage("looking at a part of the record")

@@ -149,12 +149,8 @@ def long_enough(hz: np.ndarray, data: Data, size: int, numbers: int) -> bool:
 
     **Arguments:** `hz`: natural frequencies, lowest first; `data`; `size` of the part [samples]; `numbers`.
     """
-    return size * data.sampling_time * slowest_of(hz) >= PERIODS and size >= ROWS * numbers
-
-
-def slowest_of(hz: np.ndarray) -> float:
-    """The lowest natural frequency [Hz] of several, lowest first, that is no rigid body's; 0 where there is none."""
-    return float(next(iter(hz[hz > RIGID * hz[-1]]), 0.0))
+    slowest = float(next(iter(hz[hz > RIGID * hz[-1]]), 0.0))
+    return size * data.sampling_time * slowest >= PERIODS and size >= ROWS * numbers
 
 
 def _level(stage: Stage, data: Data) -> NoiseModel:
