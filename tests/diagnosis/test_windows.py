@@ -29,15 +29,14 @@ def shaken(effect, seed, samples=3000):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place, storey, mass", [("y1", 0, 0), ("y1-y2", 1, 0)])
-def test_a_step_of_stiffness_is_placed_and_dated_whatever_else_could_begin_then(place, storey, mass):
-    lost = -0.1 * (1.9e5, 1.5e5)[storey]
+def test_a_step_of_stiffness_is_placed_and_dated_whatever_else_could_begin_then():
+    lost, place = -0.1 * 1.5e5, "y1-y2"
     frame, record = shaken(hidden_laws.Effect("stiffness_step", place, {"dk": lost, "t0": 11.237}), 12)
     found = jaxgray.diagnose(record, excitation="base-acceleration")
     (finding,) = (f for f in found.findings if f.stage == "model")
     assert (finding.effect, finding.location) == ("stiffness_step", place)
     dk, t0 = finding.parameters["dk"], finding.parameters["t0"]
-    assert abs(dk.value - lost / frame.masses[mass]) < 4 * dk.standard_error < 0.02 * abs(dk.value)
+    assert abs(dk.value - lost / frame.masses[0]) < 4 * dk.standard_error < 0.02 * abs(dk.value)
     assert abs(t0.value - 11.237) < 4 * t0.standard_error < 0.02
     assert found.excess < 1.05
 
