@@ -392,7 +392,7 @@ def _ended(data: Data, X) -> np.ndarray:
     bring it early."""
     X = np.asarray(X)
     beyond = np.abs(X[data.samples :])
-    if beyond.size and not np.max(beyond) <= RUN_AWAY * np.max(np.abs(X[: data.samples])):
+    if beyond.size and not np.max(beyond) / RUN_AWAY <= np.max(np.abs(X[: data.samples])):
         X = X.copy()
         X[data.samples :] = 0.0
     return X

@@ -105,23 +105,21 @@ def _from_short_part(
     """The search begun with what a short part shows, where the free run is out of step with the record; None where it
     is not, or what is found there does not bring it into step."""
     start, data = baseline.start, context.data[0]
-    missed, size = missed_share(context.simulator, start, data), data.samples // SHORT
-    if identified is None or max_effects == 0 or missed < settings.OUT_OF_STEP:
+    size, numbers = data.samples // SHORT, len(start.entries) + len(start.x0[0])
+    if identified is None or max_effects == 0:
         return None
-    numbers = len(start.entries) + len(start.x0[0])
     if not long_enough(natural_frequencies_hz(baseline.model), data, size, numbers):
+        return None
+    missed = missed_share(context.simulator, start, data)
+    if missed < settings.OUT_OF_STEP:
         return None
     try:
         context.progress.stage("looking at a part of the record")
     except BudgetSpent:
         return None
     steps = context.simulator.substeps
-    begins = [_liveliest(d, size) for d in context.data]
-    lasting = tuple(effect for effect in context.catalogue if not effect.tied_to_clock)
-    data_of_part = [d.part(begin, size, padded=True) for d, begin in zip(context.data, begins)]
-    held = [d.part(_liveliest(d, size), size, padded=True) for d in context.validation]
-    part = dataclasses.replace(context, data=data_of_part, validation=held, catalogue=lasting)
-    own = identified([slice(begin, begin + size) for begin in begins], data_of_part)
+    part, begins = _cut(context, size, padded=True)
+    own = identified([slice(begin, begin + size) for begin in begins], part.data)
     if own is None:
         return None
     found = select_forward(part, Candidate(own.entries, own.x0), max_effects)
@@ -167,19 +165,25 @@ def _much_nearer(context: SearchContext, candidate: Candidate, missed: float) ->
 
 def _part(context: SearchContext, baseline: Baseline, size: int) -> tuple[SearchContext, Candidate, str]:
     """The context with the liveliest part of every record, the baseline with its first states there, and which part."""
-    lasting = tuple(effect for effect in context.catalogue if not effect.tied_to_clock)
-    begins = [_liveliest(d, size) for d in context.data]
-    data = [d.part(begin, size) for d, begin in zip(context.data, begins)]
-    held = [d.part(_liveliest(d, size), size) for d in context.validation]
+    part, begins = _cut(context, size)
     model = baseline.model
     states = []
-    for d in data:
+    for d in part.data:
         u, y = d.u[: d.samples], np.where(d.kept, d.y, np.nan)[: d.samples]
         states.append(initial_state(model, u, y, d.sampling_time, hold=d.hold)[0])
     begin, end = begins[0], min(begins[0] + size, context.data[0].samples)
     where = f"The search worked on samples {begin + 1} to {end} of {context.data[0].samples}"
-    part = dataclasses.replace(context, data=data, validation=held, catalogue=lasting)
     return part, Candidate(baseline.start.entries, tuple(states)), where
+
+
+def _cut(context: SearchContext, size: int, *, padded: bool = False) -> tuple[SearchContext, list[int]]:
+    """The context with the liveliest part of every record and the laws that belong to no clock, and where the parts of
+    the records of the fit begin."""
+    lasting = tuple(effect for effect in context.catalogue if not effect.tied_to_clock)
+    begins = [_liveliest(d, size) for d in context.data]
+    data = [d.part(begin, size, padded=padded) for d, begin in zip(context.data, begins)]
+    held = [d.part(_liveliest(d, size), size, padded=padded) for d in context.validation]
+    return dataclasses.replace(context, data=data, validation=held, catalogue=lasting), begins
 
 
 def _liveliest(data: Data, size: int) -> int:

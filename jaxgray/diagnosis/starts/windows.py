@@ -254,8 +254,8 @@ def _together(
     moving = np.concatenate([~setup.held, [law is not None]])
 
     def evaluated(theta, size, states):
-        d = np.zeros(entries) if law is None else _direction(context, *law, theta)
-        if d is None:
+        d = np.zeros(entries) if law is None or not bounded(theta) else _direction(context, *law, theta)
+        if d is None or not bounded(theta, size * d, *states):
             return None
         parts = zip(equations, course, states, windows)
         made = [eq(Candidate(theta + g * size * d, (x0,), window.terms)) for eq, g, x0, window in parts]
@@ -300,7 +300,9 @@ def _together(
     return theta, states[0], size, now[2], count
 
 
-def _size_between(first: _Window, last: _Window, equations: Equations, d: np.ndarray | None, share: float):
+def _size_between(
+    first: _Window, last: _Window, equations: Equations, d: np.ndarray | None, share: float
+) -> float | None:
     """The size of a law, of which such a share acts in the last window, that is nearest to the difference of two
     windows' entries as the last one sees it; None where it sees none."""
     made = equations(Candidate(last.entries, (last.x0,), last.terms))
