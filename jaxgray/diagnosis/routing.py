@@ -10,15 +10,16 @@ import numpy as np
 from ..identification import Identification, identify
 from ..identification.setup.options import drive_by
 from ..identification.validation.structure_test import ROUNDING
-from ..mechanics.drives import AbstractDrive, Force
+from ..mechanics.drives import AbstractDrive, BaseAcceleration, BaseDisplacement, Force
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..numerics.outcomes import RESULTS, ComputationError
-from ..numerics.progress import AbstractProgress
+from ..numerics.progress import AbstractProgress, BudgetSpent
 from ..records import Record
 from . import settings
 from .conclusions.equation_error import force_diagnosis
 from .conclusions.static_gain import static_diagnosis
-from .equation_error.search import Search
+from .equation_error.base_motion import as_forces
+from .equation_error.search import Search, Trial, proposals
 from .equation_error.without_unmeasured_forces import search_forces
 from .findings import Move
 from .model.free_run import overall, rms_of
@@ -130,6 +131,36 @@ def asked_of_forces(
             return None
 
     return search
+
+
+def proposed_by_forces(
+    records: list[Record], catalogue: tuple[AbstractEffect, ...], progress: AbstractProgress, options: dict
+) -> Callable[[], list[Trial]] | None:
+    """What the force equation would add first on a driven base, or where the motion is had by integrating
+    accelerations: that may start a refit, and concludes nothing.
+
+    **Arguments:** as `begin`.
+
+    **Returns:** a function without arguments, which looks once however often it is called; None where it does not
+    apply.
+    """
+    drive = drive_by(records[0], options)
+    based = isinstance(drive, BaseAcceleration | BaseDisplacement)
+    # What a force does at once shows between samples where it is held.
+    pushed = isinstance(drive, Force) and "acceleration" in records[0].measured and records[0].hold == "linear"
+    if not based and not pushed:
+        return None
+
+    @functools.cache
+    def propose() -> list[Trial]:
+        try:
+            progress.stage("looking in the force equation")
+            relative, forces, mass = as_forces(records, drive) if based else (records, drive, None)
+            return proposals(relative, forces, catalogue, mass, progress)
+        except (ComputationError, BudgetSpent):
+            return []
+
+    return propose
 
 
 def may_come_into_step(identification: Identification) -> bool:

@@ -57,7 +57,7 @@ def test_bad_data(capsys, small, spoil, texts):
         ([*CHANNELS, "--holdout", "1.5"], ("1.5", "between 0 and 1")),
         ([*CHANNELS, "--holdout", "0"], ("--holdout",)),
         ([*CHANNELS, "--holdout", "0.3", "--validation", "x.csv"], ("--validation", "--holdout")),
-        ([*CHANNELS, "--holdout", "much"], ("--holdout", "number")),
+        ([*CHANNELS, "--holdout", "much"], ("--holdout", "valid")),
         ([*CHANNELS, "--validation", "nowhere.csv"], ("nowhere.csv",)),
         ([*CHANNELS, "--fix", "stiffness=3"], ("stiffness=3",)),
         ([*CHANNELS, "--fix", "mass[0,5]=1"], ("mass[0,5]",)),

@@ -90,7 +90,7 @@ def test_the_force_equation_refuses_laws_that_overflow(body, monkeypatch, value)
 
         with monkeypatch.context() as patch:
             patch.setattr(regression, "contribution", contribution)
-            equation = Equation([series_of(body, band_of(body))], np.eye(1))
+            equation = Equation([series_of(body, band_of([body]))], np.eye(1))
             return equation.fit((term("coulomb_friction", "y1", 0.4, 0.1),), equation.plain(), whole=True), counter
 
     clean, _ = fitted(())
@@ -103,7 +103,7 @@ def test_the_force_equation_refuses_laws_that_overflow(body, monkeypatch, value)
 @pytest.mark.parametrize("value", VALUES)
 def test_windows_refuse_runs_that_overflow(body, monkeypatch, value):
     model = MechanicalModel([[1.0]], [[0.4]], [[0.0]], effects=(term("coulomb_friction", "y1", 0.8, 0.05),))
-    series = [series_of(body, band_of(body), at_rest=True)]
+    series = [series_of(body, band_of([body]), at_rest=True)]
 
     def run(calls):
         counter = Counter(windows._windows, calls, value)

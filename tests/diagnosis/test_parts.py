@@ -6,6 +6,7 @@ from found import check_found, diagnosed, hidden_case, model_findings
 
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.search import parts
+from jaxgray.identification.setup.padding import padded_samples
 
 SLOW = [
     pytest.param(name, marks=pytest.mark.slow) for name in ("coulomb_friction", "cubic_stiffness", "stiffness_step")
@@ -37,6 +38,6 @@ def test_the_liveliest_part_is_searched():
     part = data.part(300, 200)
     assert part.samples == len(part.u) == len(part.kept) == 200 and np.array_equal(part.y, y[300:500])
     padded = data.part(300, 200, padded=True)
-    assert padded.samples == 200 and len(padded.u) == len(y) and np.array_equal(padded.y[:200], y[300:500])
+    assert padded.samples == 200 and len(padded.u) == padded_samples(200) and np.array_equal(padded.y[:200], y[300:500])
     assert padded.kept[:200].all() and not padded.kept[200:].any() and np.all(padded.u == 1)
     assert parts._liveliest(data, 1000) == 0 and data.part(0, 1000) is data

@@ -1,5 +1,5 @@
 """A parameter that changes over time, read off linear models of the windows of a record; laws that take the free run
-out of step, found on a short part of one."""
+out of step, found by the force equation."""
 
 import types
 
@@ -12,7 +12,6 @@ import jaxgray
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.search.parts import missed_share
 from jaxgray.diagnosis.starts import windows
-from jaxgray.numerics.progress import AbstractProgress
 
 H = 0.01
 
@@ -42,20 +41,13 @@ def test_a_step_of_stiffness_is_placed_and_dated_whatever_else_could_begin_then(
 
 
 @pytest.mark.slow
-def test_a_stop_that_only_the_largest_motion_meets_is_found_on_a_part():
+def test_a_stop_that_only_the_largest_motion_meets_is_found_by_the_force_equation():
     frame, still = shaken(None, 13)
     drift = float(np.std(frames.shaken_with(frame, still.u, H, [])[1][:, 0]))
     law = hidden_laws.Effect("end_stop", "y1", {"gap": 1.5 * drift, "ks": 1.9e5})
-    record = shaken(law, 13)[1]
-    stages = []
-
-    class Told(AbstractProgress):
-        def stage(self, name, *, fraction=None):
-            stages.append(name)
-
-    found = jaxgray.diagnose(record, excitation="base-acceleration", progress=Told())
-    assert "looking at a part of the record" in stages
+    found = jaxgray.diagnose(shaken(law, 13)[1], excitation="base-acceleration")
     (finding,) = (f for f in found.findings if f.stage == "model")
+    assert finding.found_by == "force equation"
     assert ("end_stop", "y1") in {(m.effect, m.location) for m in finding.members}
     gap = finding.parameters["gap"]
     assert abs(gap.value - 1.5 * drift) < 4 * gap.standard_error < 0.02 * gap.value

@@ -34,7 +34,8 @@ def follows(part, whole):
 
 
 def python(code, timeout=600, folder=ROOT):
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    environment = os.environ | {"PYTHONPATH": path}
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],
         capture_output=True,

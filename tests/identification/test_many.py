@@ -97,6 +97,7 @@ def test_sharing_the_work_changes_nothing(devices, records, batch, tmp_path):
     np.savez(tmp_path / "in.npz", *[np.hstack([r.u, r.y]) for r in records[:4]])
     script = f"""
         import os
+        os.environ["JAX_PLATFORMS"] = "cpu"
         os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count={devices}"
         import jax, numpy as np
         jax.config.update("jax_enable_x64", True)

@@ -58,7 +58,7 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
     errors = search.error(search.base), search.error(search.fit)
     warnings = (
         "No free run over the whole record is usable: decided in the force equation below "
-        f"{search.equation.series[0].cutoff_hz:.3g} Hz; fits and errors are those of free runs over windows of "
+        f"{search.equation.series[0].band.high:.3g} Hz; fits and errors are those of free runs over windows of "
         f"{window:.3g} s, the first state of each estimated.",
         f"Relative force error where it moves: {errors[0]:.3g} before, {errors[1]:.3g} after.",
         *warnings_of(search.brief_forces, [*search.records, *held], search.model(search.fit)),

@@ -102,7 +102,7 @@ class _Equation:
         static = not np.any(np.asarray(model.mass))
         if static or not isinstance(model.drive, Force) or "acceleration" in record.measured:
             return None
-        series = series_of(record, band_of(record), at_rest=True)
+        series = series_of(record, band_of([record]), at_rest=True)
         if len(series.rows) < 10:
             return None
         E = np.asarray(input_matrix_of(model.drive))
@@ -134,7 +134,7 @@ class _Equation:
             (self.laws[name] @ along)[kept],
             np.sqrt(error)[kept],
             self._variables(arm, term.place.first if at_input or term.effect.places == "input" else None),
-            self.series.cutoff_hz,
+            self.series.band.high,
         )
 
     def left(self, place: int) -> MissingForce:
@@ -151,7 +151,7 @@ class _Equation:
             None,
             None,
             self._variables(arm, None),
-            self.series.cutoff_hz,
+            self.series.band.high,
         )
 
     def _steps(self, finding: Finding, term: Term):

@@ -3,6 +3,7 @@
 rows                        filtered signals of a record, and the forces of laws on them
 regression                  M, D, K and the laws by least squares
 library                     every law, place and shape, and its score
+base_motion                 records on an accelerated base as records of forces
 windows                     free runs over windows, by which models are judged
 unmeasured_forces           brief forces that no input records
 search                      which laws are in the equation

@@ -82,12 +82,18 @@ class ForceFit:
 class Equation:
     """The rows of some records: E u on the left, M q̈ + D q̇ + K q on the right.
 
-    **Arguments:** `series`: the records in the band; `input_map` (E).
+    **Arguments:** `series`: the records in the band; `input_map` (E); `mass` where it is known: M q̈ stands on the left
+    then.
     """
 
-    def __init__(self, series: list[Series], input_map: Float[np.ndarray, "dofs inputs"]):
+    def __init__(
+        self,
+        series: list[Series],
+        input_map: Float[np.ndarray, "dofs inputs"],
+        mass: Float[np.ndarray, "dofs dofs"] | None = None,
+    ):
         self.series, self.input_map = series, np.asarray(input_map, float)
-        self.dofs = len(self.input_map)
+        self.dofs, self.mass = len(self.input_map), mass
         self._known: dict = {}
         self.entries = self.dofs * (self.dofs + 1) // 2
         basis = np.asarray(duplication(self.dofs)).reshape(self.dofs, self.dofs, -1)
@@ -97,6 +103,10 @@ class Equation:
             np.concatenate([np.einsum("ijb,nj->nib", basis, X[s.rows]) for X in (s.a, s.v, s.q)], axis=2)
             for s in series
         ]
+        if mass is not None:
+            self.force = [force - s.a[s.rows] @ mass.T for force, s in zip(self.force, series)]
+            for table in self.table:
+                table[:, :, : self.entries] = 0.0
         self.size = np.sqrt(np.mean(np.concatenate(self.force) ** 2, axis=0))
         self.size = np.where(self.size > 0, self.size, max(float(self.size.max()), 1e-300))
 
@@ -142,7 +152,7 @@ class Equation:
 
         **Returns:** a `ForceFit`; None where nothing finite or no positive mass is found.
         """
-        best = self._fit(terms, weight, (True, True, True))
+        best = self._fit(terms, weight, (self.mass is None, True, True))
         if whole or best is None:
             return best
         for block in (2, 1):
@@ -154,7 +164,7 @@ class Equation:
             if hopeless or without.criterion - best.criterion < settings.MIN_DELTA_BIC:
                 best = without
         # A shape found beside stiffness need not be the one without.
-        if not all(best.blocks) and any(not p.amplitude and p.counts for t in terms for p in t.effect.parameters):
+        if not all(best.blocks[1:]) and any(not p.amplitude and p.counts for t in terms for p in t.effect.parameters):
             again = self._fit(terms, weight, best.blocks)
             best = again if again is not None and again.cost < best.cost else best
         lowest = [np.linalg.eigvalsh(X)[[0, -1]] for X in best.matrices]
@@ -204,7 +214,7 @@ class Equation:
         full, spread = np.zeros(3 * self.entries), np.zeros(3 * self.entries)
         full[inside], spread[inside] = entries, np.sqrt(np.maximum(np.diag(covariance)[:split], 0.0))
         made = ForceFit(
-            tuple(map(from_symmetric_vector, np.split(full, 3))),
+            self._matrices(full),
             tuple(map(self._spread, np.split(spread, 3))),
             tuple(terms),
             covariance[split:, split:],
@@ -216,6 +226,11 @@ class Equation:
             moving,
         )
         return dataclasses.replace(made, residual=tuple(self.residual(made)))
+
+    def _matrices(self, entries) -> tuple[np.ndarray, ...]:
+        """M, D, K of their entries."""
+        M, D, K = map(from_symmetric_vector, np.split(entries, 3))
+        return (M if self.mass is None else self.mass), D, K
 
     def _spread(self, spread):
         basis = np.asarray(duplication(self.dofs))
@@ -267,7 +282,7 @@ class Equation:
         least = FLOOR * float(np.abs(np.trace(fit.matrices[0]))) * size[0]
         problem = PositiveLeastSquares.from_residual(table / size, target, (self.dofs,) * 3, (least, 0.0, 0.0))
         found = np.asarray(ClarabelSolver()(problem)) / size
-        matrices = tuple(from_symmetric_vector(x) for x in np.split(found, 3))
+        matrices = self._matrices(found)
         if not np.linalg.eigvalsh(matrices[0])[0] > 0:
             return None
         made = dataclasses.replace(fit, matrices=matrices)

@@ -1,4 +1,5 @@
-"""The diagnosis of records without a usable free run: decided in the force equation, judged on short windows.
+"""The diagnosis of records without a usable free run: decided in the force equation, judged on short windows; what it
+would add first, where that only starts refits.
 
 Laws are added one by one to E u = M q̈ + D q̇ + K q (`selection.py`). Among those that explain most of what the best one
 explains, a new law goes before one that shares a part with a law already in the model, and the one of the fewest
@@ -19,7 +20,7 @@ from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from .. import settings
-from ..acceptance import bound_of
+from ..acceptance import bound_of, unsound
 from ..findings import Reason, Refusal, Rejected
 from ..selection import AbstractSelection, AbstractTrial
 from .library import Library, Scores, score
@@ -77,7 +78,7 @@ class Search(AbstractSelection):
     drive: AbstractDrive
     equation: Equation
     library: Library
-    windows: Windows
+    windows: Windows | None = None
     scores: Scores | None = None
     brief_forces: tuple[BriefForce, ...] = ()
 
@@ -206,40 +207,57 @@ def search_once(
 
     **Raises:** `ComputationError` where the force equation has no solution of positive mass.
     """
+    left_out = samples_of(brief_forces, records + held)
+    search = _begun(records, drive, catalogue, None, left_out[: len(records)], rng, progress)
+    band = search.equation.series[0].band
+    everything = [series_of(r, band, at_rest=True, left_out=mask) for r, mask in zip(records + held, left_out)]
+    search.windows = Windows(records + held, everything, window_samples(records + held), left_out)
+    search.held, search.brief_forces = held, brief_forces
+    search.select(max_effects)
+    search.recount()
+    return search
+
+
+def proposals(
+    records: list[Record],
+    drive: AbstractDrive,
+    catalogue: tuple[AbstractEffect, ...],
+    mass: np.ndarray | None,
+    progress: AbstractProgress,
+) -> list[Trial]:
+    """What the force equation would add first, best first, judged by its rows alone.
+
+    **Arguments:** `records`; `drive`: forces; `catalogue`; `mass`: where it is known; `progress`.
+
+    **Raises:** as `search_once`.
+    """
+    if mass is not None:
+        # The input is no force there.
+        catalogue = tuple(effect for effect in catalogue if effect.places != "input")
+    search = _begun(records, drive, catalogue, mass, samples_of((), records), np.random.default_rng(0), progress)
+    trials = search.trials() if search.looks(False) else []
+    return [trial for trial in trials if trial.delta_bic >= settings.CLEAR_DELTA_BIC and unsound(trial) is None]
+
+
+def _begun(records, drive, catalogue, mass, left_out, rng, progress) -> Search:
+    """The search before anything is added."""
     progress.unlimited.stage("setting up the force equation")
     E = np.asarray(drive.input_map)
-    cutoff = min(map(band_of, records))
-    left_out = samples_of(brief_forces, records + held)
-    series = [series_of(r, cutoff, left_out=mask) for r, mask in zip(records, left_out)]
-    everything = [series_of(r, cutoff, at_rest=True, left_out=mask) for r, mask in zip(records + held, left_out)]
-    equation = Equation(series, E)
-    if min(len(s.rows) for s in series) < 4 * equation.entries + 8:
-        raise ComputationError(
-            RESULTS.too_short,
-            stage="force equation",
-            detail=f"{min(len(s.rows) for s in series)} rows of motion below {cutoff:.3g} Hz in the shortest record",
-        )
-    length = window_samples(records + held)
-    windows = Windows(records + held, everything, length, left_out)
-    names = records[0].input_names, records[0].output_names
+    band = band_of(records)
+    series = [series_of(r, band, left_out=mask) for r, mask in zip(records, left_out)]
+    entries, rows = len(E) * (len(E) + 1) // 2, min(len(s.rows) for s in series)
+    if rows < 4 * entries + 8:
+        detail = f"{rows} rows of motion below {band.high:.3g} Hz in the shortest record"
+        raise ComputationError(RESULTS.too_short, stage="force equation", detail=detail)
+    equation = Equation(series, E, mass)
     progress.unlimited.stage("looking for effects")
-    library = Library.of(equation, catalogue, names)
+    library = Library.of(equation, catalogue, (records[0].input_names, records[0].output_names))
     search = Search(
-        records=records,
-        held=held,
-        rng=rng,
-        progress=progress,
-        drive=drive,
-        equation=equation,
-        library=library,
-        windows=windows,
-        brief_forces=brief_forces,
+        records=records, held=[], rng=rng, progress=progress, drive=drive, equation=equation, library=library
     )
     search.base = search.fit = _settled(equation, ())
     if search.base is None:
         raise ComputationError(RESULTS.nonfinite, stage="force equation", detail="no positive mass fits the record")
-    search.select(max_effects)
-    search.recount()
     return search
 
 

@@ -25,6 +25,9 @@ STEPS, PATIENCE = 30, 6
 """Steps for the first states, and how many may bring nothing before they end: where friction holds a body for a while,
 the error has steps of its own."""
 
+LEAST_DAMPING = 1e-12
+"""Of the steps for the first states, relative to the size of their slopes: some may do what others do."""
+
 PAYS = 1e-3
 """Relative fall of a window's error that is worth a step."""
 
@@ -101,7 +104,7 @@ class Windows:
             y, kept, best = (np.where(_wide(better, x), x, old) for x, old in ((made, y), (x0, kept), (cost, best)))
             if idle > PATIENCE:
                 break
-            damping = np.where(better, damping / 10, damping * 100)
+            damping = np.where(better, np.maximum(damping / 10, LEAST_DAMPING), damping * 100)
             table = (J * weight[..., None]).reshape(len(target), -1, J.shape[-1])
             for k in range(len(target)):
                 x0[k] = (kept[k] + x0[k]) / 2

@@ -65,6 +65,6 @@ def _without_brief_forces(records, held, drive, catalogue, max_effects, brief_fo
 
 def _seen_by(search: Search) -> tuple[BriefForce, ...]:
     """Pushes that a fit sees in the whole of its records, what was left out included."""
-    cutoff = search.windows.series[0].cutoff_hz
-    series = [series_of(r, cutoff, at_rest=True) for r in search.records + search.held]
+    band = search.windows.series[0].band
+    series = [series_of(r, band, at_rest=True) for r in search.records + search.held]
     return brief_forces_of(search.fit, series, search.equation.input_map)

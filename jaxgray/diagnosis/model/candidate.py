@@ -53,10 +53,11 @@ class Data:
         )
 
     def part(self, begin: int, size: int, *, padded: bool = False) -> "Data":
-        """A part of the record; the record itself where it is shorter. `padded`: to the record's own length."""
+        """A part of the record; the record itself where it is shorter. `padded`: to one of a few
+        lengths."""
         if self.samples <= size:
             return self
-        rows, more = slice(begin, begin + size), len(self.u) - size if padded else 0
+        rows, more = slice(begin, begin + size), padded_samples(size) - size if padded else 0
 
         def cut(X, mode):
             return np.pad(X[rows], ((0, more), *((0, 0),) * (X.ndim - 1)), mode=mode) if more else X[rows]

@@ -27,7 +27,7 @@ confusable    look-alikes, and laws that contain another and add nothing
 provisional   laws that gain only together with a second one
 backward      unite, drop and simplify after an acceptance
 final_swap    equivalent laws compared once more in the whole model
-parts         the search on a part of a record, long or out of step with the free run, carried over to the whole
+parts         the search on a part of a long record, carried over to the whole; out of step, by the force equation first
 modal_restart the whole refitted from the record's own modes, where one effect was found and much is left
 
 To add an effect: a class in `mechanics.effects`, and its row in `mechanics.effects.CATALOGUE`. To add a start: a

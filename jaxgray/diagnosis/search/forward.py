@@ -103,7 +103,8 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         if closer is None:
             found = left > 0 and (
                 _accepted(context, state, hidden_modes(context, state.stage, screening), Move.HIDDEN_MODE)
-                or _accepted(context, state, from_forces(context, state.stage, screening), Move.FORCE_EQUATION)
+                or context.forces is not None
+                and _accepted(context, state, from_forces(context, state.stage, screening), Move.FORCE_EQUATION)
             )
             return 1 if found else None
     if left <= 0:

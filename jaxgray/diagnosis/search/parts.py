@@ -5,11 +5,10 @@ times as long, up to the whole, where it shows nothing. What belongs to the cloc
 stiffness, is looked for in the whole.
 
 A strong effect takes the free run of the linear model out of step with the record, and scores about it then name
-anything. A short part, with a linear model of its own, is less out of step, and is searched first.
+anything: there the force equation is asked first.
 """
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,20 +16,16 @@ import numpy as np
 from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
 from ...numerics.bounded import bounded
-from ...numerics.progress import BudgetSpent
 from .. import settings
-from ..estimation.context import Identified, SearchContext, noise_model_of
+from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, settled
 from ..estimation.gauss_newton import Refit, refit
 from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
-from ..model.simulator import Simulator, natural_frequencies_hz
+from ..model.simulator import Simulator
 from ..noise.whitening import white_noise_model, white_part
-from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import screen_simulated
-from ..starts.windows import long_enough
-from .backward import prune
-from .final_swap import swap_rivals
+from ..starts.equation_error import force_equation_finds
 from .forward import extend, select_forward
 from .state import SearchState, held_out_run, stage_of_candidate
 
@@ -42,9 +37,6 @@ LONG = 2.0
 
 LONGER = 4
 """By how much longer the next part is where one shows nothing."""
-
-SHORT = 4
-"""How many times longer a record is than the part that is searched first where the free run does not follow it."""
 
 STEPS = 10
 """Of each refit on the whole record."""
@@ -60,24 +52,18 @@ class Searched:
     where: str | None
 
 
-Identify = Callable[[list[slice], list[Data]], Identified | None]
-"""The linear model of parts of the records."""
-
-
 def search(
     context: SearchContext,
     baseline: Baseline,
     max_effects: int,
     *,
     errors: tuple[AbstractEffect, ...] = (),
-    identified: Identify | None = None,
 ) -> tuple[SearchState, "Searched"]:
-    """Extend the baseline until nothing more is found, on a part first where records are long or the free run does not
-    follow them.
+    """Extend the baseline until nothing more is found, on a part first where records are long, from the force equation
+    where the free run does not follow them.
 
     **Arguments:** `context`; `baseline`; `max_effects`; `errors`: as for `select_forward`, where numbers of a given
-    model may be wrong: the whole record is then searched; `identified`: gives the linear model of a part, None where
-    the model is given.
+    model may be wrong: the whole record is then searched.
 
     **Returns:** how far the search got, on the whole records; what it worked on.
     """
@@ -93,50 +79,28 @@ def search(
         if state.unexplained:
             break
         size *= LONGER
-    state = _from_short_part(context, baseline, max_effects, identified)
-    if state is None:
-        state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))
+    asked = context.proposed is not None and max_effects > 0
+    missed = missed_share(context.simulator, start, context.data[0]) if asked else 0.0
+    if missed >= settings.OUT_OF_STEP:
+        state = _from_forces(context, start, max_effects, missed)
+        if state is not None:
+            return state, Searched(context, state, None)
+        context = dataclasses.replace(context, proposed=None)
+    state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))
     return state, Searched(context, state, None)
 
 
-def _from_short_part(
-    context: SearchContext, baseline: Baseline, max_effects: int, identified: Identify | None
-) -> SearchState | None:
-    """The search begun with what a short part shows, where the free run is out of step with the record; None where it
-    is not, or what is found there does not bring it into step."""
-    start, data = baseline.start, context.data[0]
-    size, numbers = data.samples // SHORT, len(start.entries) + len(start.x0[0])
-    if identified is None or max_effects == 0:
-        return None
-    if not long_enough(natural_frequencies_hz(baseline.model), data, size, numbers):
-        return None
-    missed = missed_share(context.simulator, start, data)
-    if missed < settings.OUT_OF_STEP:
-        return None
-    try:
-        context.progress.stage("looking at a part of the record")
-    except BudgetSpent:
+def _from_forces(context: SearchContext, start: Candidate, max_effects: int, missed: float) -> SearchState | None:
+    """The search begun with what the force equation finds, where it is asked, and that brings the free run into step;
+    None otherwise."""
+    if not force_equation_finds(context):
         return None
     steps = context.simulator.substeps
-    part, begins = _cut(context, size, padded=True)
-    own = identified([slice(begin, begin + size) for begin in begins], part.data)
-    if own is None:
-        return None
-    found = select_forward(part, Candidate(own.entries, own.x0), max_effects)
-    whole = _carried_over(context, start, found) if found.accepted else None
-    if whole is None or not _much_nearer(context, whole.fit.candidate, missed):
-        # What was followed in short steps was another law's force.
-        context.simulator.substeps = steps
-        return None
-    # Rivals are refitted beside what is found on the whole, and nothing that the part ruled out stays so.
-    for k, accepted in enumerate(whole.accepted):
-        rivals = tuple(dataclasses.replace(rival, criterion=np.inf) for rival in accepted.rivals)
-        whole.accepted[k] = dataclasses.replace(accepted, rivals=rivals)
-    whole.ruled_out = frozenset()
-    prune(context, whole)
-    extend(context, whole, max(max_effects - len(whole.accepted), 0), (*context.catalogue, FlexibleForce()))
-    swap_rivals(context, whole)
-    return whole
+    state = select_forward(dataclasses.replace(context, out_of_step=True), start, max_effects)
+    if state.accepted and _much_nearer(context, state.fit.candidate, missed):
+        return state
+    context.simulator.substeps = steps
+    return None
 
 
 def missed_share(simulator: Simulator, candidate: Candidate, data: Data) -> float:
@@ -176,14 +140,14 @@ def _part(context: SearchContext, baseline: Baseline, size: int) -> tuple[Search
     return part, Candidate(baseline.start.entries, tuple(states)), where
 
 
-def _cut(context: SearchContext, size: int, *, padded: bool = False) -> tuple[SearchContext, list[int]]:
+def _cut(context: SearchContext, size: int) -> tuple[SearchContext, list[int]]:
     """The context with the liveliest part of every record and the laws that belong to no clock, and where the parts of
     the records of the fit begin."""
     lasting = tuple(effect for effect in context.catalogue if not effect.tied_to_clock)
     begins = [_liveliest(d, size) for d in context.data]
-    data = [d.part(begin, size, padded=padded) for d, begin in zip(context.data, begins)]
-    held = [d.part(_liveliest(d, size), size, padded=padded) for d in context.validation]
-    return dataclasses.replace(context, data=data, validation=held, catalogue=lasting), begins
+    data = [d.part(begin, size) for d, begin in zip(context.data, begins)]
+    held = [d.part(_liveliest(d, size), size) for d in context.validation]
+    return dataclasses.replace(context, data=data, validation=held, catalogue=lasting, proposed=None), begins
 
 
 def _liveliest(data: Data, size: int) -> int:

@@ -37,10 +37,12 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     noise_model = closer.noise_model if closer.shows else white_noise_model(stage.e, context.data[0].kept, stage.system)
     listed = listed_with(shortlist(screening, closer), wrong_entries(context, stage, screening))
     known = changes_over_time(context, stage, screening)
+    if context.proposed is not None:
+        known |= {attempt.name: (attempt.score, attempt.fit) for attempt in from_forces(context, stage, screening)}
     listed = [scores for scores in listed if (scores[0].shape.effect.id, scores[0].shape.place.name) not in known]
     attempts = attempts_of(context, stage, listed, noise_model, state.rejected, known)
     ranked = compared(context, stage, list(attempts.values()))
-    if forced := from_forces(context, stage, screening):
+    if context.proposed is None and (forced := from_forces(context, stage, screening)):
         ranked = _better_ones(compared(context, stage, ranked + forced))
     if ranked:
         tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}

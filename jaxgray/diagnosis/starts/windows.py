@@ -153,6 +153,14 @@ def long_enough(hz: np.ndarray, data: Data, size: int, numbers: int) -> bool:
     return size * data.sampling_time * slowest >= PERIODS and size >= ROWS * numbers
 
 
+def squares_left(context: SearchContext, candidate: Candidate, noise_model: NoiseModel) -> float:
+    """Squares that the free run of a candidate leaves of the first record, in units of a noise; infinite where it
+    overflows."""
+    data = context.data[0]
+    e = np.where(data.kept, data.y - context.simulator.run(candidate, data), 0.0) / noise_model.level
+    return float(np.sum(e**2)) if bounded(e) else np.inf
+
+
 def _level(stage: Stage, data: Data) -> NoiseModel:
     """White noise of every output as large as what the model of the whole record leaves there."""
     level = np.sqrt(np.sum(stage.e**2, axis=0) / np.maximum(data.kept.sum(axis=0), 1))
@@ -342,13 +350,8 @@ def _refitted(
     entries = setup.entries_of(*setup.matrices(change.entries))
     begun = Candidate(entries, (change.x0, *stage.candidate.x0[1:]))
     terms = [_term(change, values)] if change.around is None else _moments(context, change, values, size)
-    data = context.data[0]
-
-    def left(candidate: Candidate) -> float:
-        e = np.where(data.kept, data.y - context.simulator.run(candidate, data), 0.0) / noise_model.level
-        return float(np.sum(e**2)) if bounded(e) else np.inf
-
-    best = min((begun.with_terms((*stage.candidate.terms, term)) for term in terms), key=left)
+    tried = [begun.with_terms((*stage.candidate.terms, term)) for term in terms]
+    best = min(tried, key=lambda candidate: squares_left(context, candidate, noise_model))
     options = {"held": context.held, "max_steps": STEPS, "tolerance": ROUGH}
     fit = refit(context.simulator, best, context.data, noise_model, **options)
     if fit is None:

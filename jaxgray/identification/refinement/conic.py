@@ -61,6 +61,13 @@ def _directions(H: np.ndarray, threshold: float):
     return scale, values, vectors, values > threshold * max(values[-1], 1e-300) * len(values)
 
 
+def sizes_of(curvature: np.ndarray) -> np.ndarray:
+    """Square roots of what every variable is divided by: of its curvature, or of one that rounding would swallow beside
+    the largest."""
+    least = max(np.finfo(float).eps ** 2 * float(np.max(curvature, initial=0.0)), np.finfo(float).tiny)
+    return np.sqrt(np.maximum(curvature, least))
+
+
 def step_inside(
     solver: ClarabelSolver,
     quadratic: Float[np.ndarray, "variables variables"],
@@ -100,7 +107,7 @@ def _at_bounds(quadratic, slope, here, floors, sizes, free) -> np.ndarray | None
     """The step with single numbers at their floors where they would fall below; None unless it is the optimum."""
     if np.any(np.diag(quadratic)[free] < 0.0):
         return None
-    scale = np.sqrt(np.maximum(np.diag(quadratic), np.finfo(float).tiny))
+    scale = sizes_of(np.diag(quadratic))
     scaled = quadratic / scale[:, None] / scale[None, :]
     ends = np.cumsum([n * (n + 1) // 2 for n in sizes]) - 1
     # Where single numbers stand, their floors, and by how much each may fall.

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from ...numerics.linear_algebra import symmetric_vector
 from ..setup.structure import Structure
 from ..setup.units import Scaling
-from .conic import pseudo_inverse
+from .conic import pseudo_inverse, sizes_of
 from .normal_equations import Prior, join
 
 SPREAD = 0.5
@@ -70,7 +70,7 @@ def inverse_with(
     assumed[: len(prior.precision)] = prior.precision
     assumed = assumed[free]
     H = np.asarray(information)[np.ix_(free, free)] - np.diag(assumed)
-    scale = np.sqrt(np.maximum(np.diag(H) + assumed, np.finfo(float).tiny))
+    scale = sizes_of(np.diag(H) + assumed)
     values, vectors = np.linalg.eigh(H / scale[:, None] / scale[None, :])
     seen = np.where(values > 1e-15 * values[-1], values, 0.0)
     both = np.diag(seen) + vectors.T @ ((assumed / scale**2)[:, None] * vectors)

@@ -1,0 +1,104 @@
+"""Records on a driven base as records of forces: M z̈ + D ż + K z + Σ b φ = −M r ẍ, once M is known.
+
+Rows z̈ + r ẍ = −M⁻¹ (D ż + K z + Σ b φ) give M⁻¹K, which is not symmetric, and the ratios of the masses make it so:
+
+    m_i (M⁻¹K)_ij = m_j (M⁻¹K)_ji,      M diagonal.
+"""
+
+import dataclasses
+import itertools
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...mechanics.drives import BaseAcceleration, BaseDisplacement, Force
+from ...mechanics.extended import held_input
+from ...numerics.outcomes import RESULTS, ComputationError
+from ...records import Record
+from .rows import Series, around_samples, band_of, series_of
+
+MAX_RATIO = 10.0
+"""Ratio of a mass to the first, or of the first to it, beyond which it is not believed."""
+
+MAX_ASYMMETRY = 0.3
+"""What is left of M·(M⁻¹K) that is not symmetric, relative to it, beyond which the masses are not believed."""
+
+ROWS = 3
+"""Rows for every number that is fitted to them, at least."""
+
+KNEES = (0.4, 0.6, 0.75, 0.85, 0.93, 0.98)
+"""Quantiles of a displacement beyond which straight lines stand in for laws of it, with its size and the sign of its
+velocity."""
+
+
+def as_forces(
+    records: list[Record], drive: BaseAcceleration | BaseDisplacement
+) -> tuple[list[Record], Force, Float[np.ndarray, "dofs dofs"]]:
+    """The motion relative to the base, and where the acceleration of the base acts as a force.
+
+    **Arguments:** `records`; `drive`.
+
+    **Returns:** the same with outputs relative to the base and its acceleration as input; the drive of forces; the
+    mass, of which the first is 1.
+
+    **Raises:** `ComputationError` where the records do not tell the ratios of the masses.
+    """
+    r = np.asarray(drive.direction, float)
+    records = [_relative(one, drive, r) for one in records]
+    band = band_of(records)
+    mass = np.diag(_masses([series_of(one, band) for one in records], r))
+    return records, Force(-mass @ r), mass
+
+
+def _relative(record: Record, drive, r: Float[np.ndarray, "dofs inputs"]) -> Record:
+    """Outputs relative to the base and its acceleration, as they are around every sample."""
+    base = np.asarray(around_samples(*map(np.asarray, held_input(jnp.asarray(record.u), record.hold))))
+    if isinstance(drive, BaseAcceleration):
+        # What an accelerometer on the base would show at a sample is also what its neighbours say.
+        shift = record.u - base if drive.relative else -base
+        return dataclasses.replace(record, u=base, y=record.y + shift @ r.T, hold="linear")
+    h, y = record.sampling_time, np.array(record.y)
+    rate = np.gradient(base, h, axis=0)
+    acceleration = np.zeros_like(base)
+    acceleration[1:-1] = (base[2:] - 2 * base[1:-1] + base[:-2]) / h**2
+    if not drive.relative:
+        moved = {"displacement": base @ r.T, "velocity": rate @ r.T}
+        y -= np.stack([moved[kind][:, k] for k, kind in enumerate(record.measured)], axis=1)
+    return dataclasses.replace(record, u=acceleration, y=y, hold="linear")
+
+
+def _masses(series: list[Series], r: Float[np.ndarray, "dofs inputs"]) -> Float[np.ndarray, " dofs"]:
+    """Masses relative to the first, from what makes M⁻¹K symmetric."""
+    dofs = len(r)
+    if dofs == 1:
+        return np.ones(1)
+    arms = [*np.eye(dofs), *(np.eye(dofs)[i] - np.eye(dofs)[j] for i, j in itertools.combinations(range(dofs), 2))]
+    arms = np.stack(arms, axis=1)
+    knees = np.quantile(np.abs(np.concatenate([one.q @ arms for one in series])), KNEES, axis=0)
+    tables, targets = [], []
+    for one in series:
+        x = one.q @ arms
+        laws = [np.sign(x) * np.maximum(np.abs(x) - knee, 0.0) for knee in knees]
+        laws += [np.abs(x), np.sign(one.v @ arms)]
+        tables.append(np.concatenate([one.q[one.rows], one.v[one.rows], one.row_values(np.hstack(laws))], axis=1))
+        targets.append(one.a[one.rows] + one.input_rows @ r.T)
+    table = np.concatenate(tables)
+    if len(table) < ROWS * table.shape[1]:
+        raise ComputationError(RESULTS.too_short, stage="force equation", detail=f"{len(table)} rows of motion")
+    size = np.maximum(np.linalg.norm(table, axis=0), np.finfo(float).tiny)
+    found = np.linalg.lstsq(table / size, np.concatenate(targets), rcond=1e-12)[0] / size[:, None]
+    A = -found[:dofs].T
+    # From one coordinate to the next over the strongest coupling: weak ones say nothing of a ratio.
+    strength = A * A.T / np.maximum(np.abs(np.outer(np.diag(A), np.diag(A))), np.finfo(float).tiny)
+    masses, known = np.ones(dofs), [0]
+    while len(known) < dofs:
+        others = [k for k in range(dofs) if k not in known]
+        i, j = max(itertools.product(known, others), key=lambda pair: strength[pair])
+        masses[j] = masses[i] * (A[i, j] / A[j, i] if strength[i, j] > 0 else np.nan)
+        known.append(j)
+    K = masses[:, None] * A
+    sound = np.all((masses > 1 / MAX_RATIO) & (masses < MAX_RATIO))
+    if not sound or np.linalg.norm(K - K.T) > MAX_ASYMMETRY * np.linalg.norm(K):
+        raise ComputationError(RESULTS.nonfinite, stage="force equation", detail="no masses make M⁻¹K symmetric")
+    return masses
