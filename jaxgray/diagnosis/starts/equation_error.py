@@ -81,8 +81,10 @@ def from_forces(context: SearchContext, stage: Stage, screening: Screening) -> l
             return None
         context.progress.stage(f"refitting {effect} at {place}")
         begin = _begun(context, stage.candidate, trial)
-        if context.out_of_step and context.proposed is not None:
-            begin = _over_windows(context, begin, trial, noise_model)
+        if context.proposed is not None:
+            near = squares_left(context, begin, noise_model) < squares_left(context, stage.candidate, noise_model)
+            if context.out_of_step or not near:
+                begin = _over_windows(context, begin, trial, noise_model)
         options = {"held": context.held, "tolerance": ROUGH}
         fit = refit(context.simulator, begin, context.data, noise_model, max_steps=0, **options)
         if fit is None:

@@ -56,6 +56,9 @@ TOGETHER = 4
 BEGUN = 3
 """Laws that are refitted to the whole record, at most."""
 
+FAR = 4.0
+"""Squares left in a window, relative to the least of all, from which it is fitted again."""
+
 CLEAR = 2
 """Windows left out on either side of a change."""
 
@@ -66,17 +69,22 @@ MOMENTS = 64
 @dataclass(frozen=True)
 class _Window:
     """A linear model of one window: `data`; `entries` and first state `x0`, with the values of `terms` found before;
-    natural frequencies `hz`; sample at its `middle`; the squares that the whole record's model leaves there (`before`)
-    and that are `left`."""
+    natural frequencies `hz`; the sample where it begins; the squares that the whole record's model leaves there
+    (`before`) and that are `left`."""
 
     data: Data
+    begin: int
     entries: Float[np.ndarray, " entries"]
     x0: Float[np.ndarray, " states"]
     terms: tuple[Term, ...]
     hz: Float[np.ndarray, " modes"]
-    middle: float
     before: float
     left: float
+
+    @property
+    def middle(self) -> float:
+        """Sample at its middle."""
+        return self.begin + self.data.samples / 2
 
 
 @dataclass(frozen=True)
@@ -112,12 +120,16 @@ def changes_over_time(
     # The ends alone first: where another law than a change is missing, no linear model fits them much better.
     noise_model = _level(stage, data)
     ends = side_by_side(lambda begin: _fitted(context, stage, noise_model, begin, size), (0, data.samples - size))
-    if any(window is None for window in ends) or not _share(ends) < settings.WINDOW_SHARE:
+    if any(window is None for window in ends):
+        return {}
+    ends = _from_neighbours(context, stage, noise_model, ends)
+    if not _share(ends) < settings.WINDOW_SHARE:
         return {}
     context.progress.stage("fitting windows of the record")
     begins = np.arange(max(size // 2, 1), data.samples - size, max(size // 2, 1))
     inner = side_by_side(lambda begin: _fitted(context, stage, noise_model, int(begin), size), begins)
     windows = [ends[0], *(window for window in inner if window is not None), ends[1]]
+    windows = _from_neighbours(context, stage, noise_model, windows)
     k = moment_of(np.array([window.hz for window in windows]))
     # Clear of the change, also where it was taken for the next window's.
     sides = windows[: max(k - CLEAR, 1)], windows[min(k + CLEAR, len(windows) - 1) :]
@@ -173,21 +185,48 @@ def _share(windows: list[_Window]) -> float:
     return sum(window.left for window in windows) / max(sum(window.before for window in windows), 1e-300)
 
 
-def _fitted(context: SearchContext, stage: Stage, noise_model: NoiseModel, begin: int, size: int) -> _Window | None:
-    """The linear model refitted to one window, from that of the stage; None where it cannot be simulated."""
+def _from_neighbours(
+    context: SearchContext, stage: Stage, noise_model: NoiseModel, windows: list[_Window]
+) -> list[_Window]:
+    """The windows, those that are left with far more than the best of them refitted from the models of the windows
+    beside them as well: from a model out of step, the refit of one or the other ends elsewhere."""
+    least = FAR * min(window.left for window in windows)
+
+    def better(k: int) -> _Window:
+        window = windows[k]
+        beside = [near for near in windows[max(k - 1, 0) : k + 2] if near.left < window.left]
+        if window.left <= least or not beside:
+            return window
+        again = (_fitted(context, stage, noise_model, window.begin, window.data.samples, near) for near in beside)
+        return min([window, *filter(None, again)], key=lambda one: one.left)
+
+    return side_by_side(better, range(len(windows)))
+
+
+def _fitted(
+    context: SearchContext,
+    stage: Stage,
+    noise_model: NoiseModel,
+    begin: int,
+    size: int,
+    like: _Window | None = None,
+) -> _Window | None:
+    """The linear model refitted to one window, from that of the stage, or of another window; None where it cannot be
+    simulated."""
     data = context.data[0]
     window, kept = data.part(begin, size, padded=True), data.kept[begin : begin + size]
     if not np.all(np.any(kept, axis=0)):
         return None
     before = float(np.sum((np.where(kept, stage.e[begin : begin + size], 0.0) / noise_model.level) ** 2))
-    begun = Candidate(stage.candidate.entries, (np.zeros_like(stage.candidate.x0[0]),), stage.candidate.terms)
+    entries, terms = (stage.candidate.entries, stage.candidate.terms) if like is None else (like.entries, like.terms)
+    begun = Candidate(entries, (np.zeros_like(stage.candidate.x0[0]),), terms)
     fit = refit(context.simulator, begun, [window], noise_model, max_steps=STEPS, tolerance=ROUGH)
     if fit is None:
         return None
     found = fit.candidate
     hz = natural_frequencies_hz(context.simulator.plant(found))
     left = float(np.sum((fit.residual[0] / noise_model.level) ** 2))
-    return _Window(window, found.entries, found.x0[0], found.terms, hz, begin + size / 2, before, left)
+    return _Window(window, begin, found.entries, found.x0[0], found.terms, hz, before, left)
 
 
 def _alike(context: SearchContext, noise_model: NoiseModel, windows: list[_Window]) -> bool:
