@@ -66,6 +66,24 @@ def test_the_moment_of_a_change_is_where_the_frequencies_differ():
         assert windows.moment_of(noisy) in (4, 5), seed
 
 
+def test_a_window_that_is_left_far_off_is_fitted_again_from_those_beside_it(monkeypatch):
+    def window(begin, left):
+        data = types.SimpleNamespace(samples=100)
+        return windows._Window(data, begin, np.zeros(1), np.zeros(2), (), np.ones(1), 1e3, left)
+
+    asked = []
+
+    def fitted(context, stage, noise_model, begin, size, like):
+        asked.append((begin, like.begin))
+        return None if like.begin == 0 else window(begin, 1.2 if begin == 100 else 700.0)
+
+    monkeypatch.setattr(windows, "_fitted", fitted)
+    given = [window(0, 1.0), window(100, 80.0), window(200, 1.1), window(300, 600.0), window(400, 3.9)]
+    found = windows._from_neighbours(None, None, None, given)
+    assert [one.left for one in found] == [1.0, 1.2, 1.1, 600.0, 3.9]
+    assert sorted(asked) == [(100, 0), (100, 200), (300, 200), (300, 400)]
+
+
 def data_of(y, kept=None):
     kept = np.ones(y.shape, bool) if kept is None else kept
     return Data(y[:, :1], np.where(kept, y, 0.0), kept, np.zeros(len(y)), len(y), 0.05, "zero")
