@@ -50,7 +50,7 @@ from .model.own_laws import laws_of, owner_of, parameter_errors
 from .model.simulator import Simulator, steps_of
 from .noise.floor import independent_floor, residual_rms
 from .result import Diagnosis
-from .routing import asked_of_forces, begin, by_force_equation, may_come_into_step, proposed_by_forces
+from .routing import asked_of_forces, begin, by_force_equation, force_equation_trials, may_come_into_step
 from .screening.flexible_force import FlexibleForce
 from .search.forward import recount
 from .search.modal_restart import from_other_modes
@@ -179,7 +179,7 @@ def _of_clean_records(
         np.random.default_rng(seed),
         progress,
         forces=asked_of_forces(records, held, identification, searched, max_effects, seed, progress, options),
-        proposed=None if identification is None else proposed_by_forces(records, searched, progress, options),
+        first_trials=None if identification is None else force_equation_trials(records, searched, progress, options),
         out_of_step=identification is not None and may_come_into_step(identification),
     )
     if model is not None:

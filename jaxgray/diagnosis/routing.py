@@ -10,7 +10,7 @@ import numpy as np
 from ..identification import Identification, identify
 from ..identification.setup.options import drive_by
 from ..identification.validation.structure_test import ROUNDING
-from ..mechanics.drives import AbstractDrive, BaseAcceleration, BaseDisplacement, Force
+from ..mechanics.drives import AbstractDrive, BaseAcceleration, Force
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, BudgetSpent
@@ -19,7 +19,7 @@ from . import settings
 from .conclusions.equation_error import force_diagnosis
 from .conclusions.static_gain import static_diagnosis
 from .equation_error.base_motion import as_forces
-from .equation_error.search import Search, Trial, proposals
+from .equation_error.search import Search, Trial, first_trials
 from .equation_error.without_unmeasured_forces import search_forces
 from .findings import Move
 from .model.free_run import overall, rms_of
@@ -133,11 +133,11 @@ def asked_of_forces(
     return search
 
 
-def proposed_by_forces(
+def force_equation_trials(
     records: list[Record], catalogue: tuple[AbstractEffect, ...], progress: AbstractProgress, options: dict
 ) -> Callable[[], list[Trial]] | None:
-    """What the force equation would add first on a driven base, or where the motion is had by integrating
-    accelerations: that may start a refit, and concludes nothing.
+    """Trials of the force equation for the first law, on an accelerated base or where accelerations are integrated:
+    starts of refits alone.
 
     **Arguments:** as `begin`.
 
@@ -145,22 +145,22 @@ def proposed_by_forces(
     apply.
     """
     drive = drive_by(records[0], options)
-    based = isinstance(drive, BaseAcceleration | BaseDisplacement)
-    # What a force does at once shows between samples where it is held.
+    based = isinstance(drive, BaseAcceleration)
+    # Under a zero-order hold accelerations jump at the samples, and their integrals are late by half of one.
     pushed = isinstance(drive, Force) and "acceleration" in records[0].measured and records[0].hold == "linear"
     if not based and not pushed:
         return None
 
     @functools.cache
-    def propose() -> list[Trial]:
+    def trials() -> list[Trial]:
         try:
             progress.stage("looking in the force equation")
             relative, forces, mass = as_forces(records, drive) if based else (records, drive, None)
-            return proposals(relative, forces, catalogue, mass, progress)
-        except (ComputationError, BudgetSpent):
+            return first_trials(relative, forces, catalogue, mass, progress)
+        except (ComputationError, BudgetSpent, np.linalg.LinAlgError):
             return []
 
-    return propose
+    return trials
 
 
 def may_come_into_step(identification: Identification) -> bool:

@@ -10,8 +10,9 @@ from independent import smooth_noise
 from jaxgray import Record
 from jaxgray.diagnosis.conclusions.next_experiment import separation
 from jaxgray.diagnosis.equation_error import regression, windows
+from jaxgray.diagnosis.equation_error.band import band_of
 from jaxgray.diagnosis.equation_error.regression import Equation
-from jaxgray.diagnosis.equation_error.rows import band_of, series_of
+from jaxgray.diagnosis.equation_error.rows import series_of
 from jaxgray.diagnosis.equation_error.windows import Windows
 from jaxgray.diagnosis.estimation.gauss_newton import Refit, with_states
 from jaxgray.diagnosis.model.candidate import Candidate, Data

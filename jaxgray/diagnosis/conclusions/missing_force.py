@@ -13,7 +13,8 @@ from jaxtyping import Float
 from ...mechanics.drives import Force
 from ...mechanics.effects.base import AbstractForceEffect, AbstractInputEffect, Term
 from ...mechanics.extended import arm_along, input_matrix_of
-from ..equation_error.rows import Series, band_of, contribution, series_of
+from ..equation_error.band import band_of
+from ..equation_error.rows import Series, contribution, series_of
 from ..estimation.element_sums import at_one_threshold, elements_of
 from ..findings import Curves, Finding
 from ..result import Diagnosis

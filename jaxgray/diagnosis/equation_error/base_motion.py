@@ -1,6 +1,6 @@
-"""Records on a driven base as records of forces: M z̈ + D ż + K z + Σ b φ = −M r ẍ, once M is known.
+"""Records on an accelerated base as records of forces: M z̈ + D ż + K z + Σ b φ = −M r ẍ, once M is known.
 
-Rows z̈ + r ẍ = −M⁻¹ (D ż + K z + Σ b φ) give M⁻¹K, which is not symmetric, and the ratios of the masses make it so:
+Rows z̈ + r ẍ = −M⁻¹ (D ż + K z + Σ b φ) give M⁻¹K. The ratios of the masses are those that make M (M⁻¹K) symmetric:
 
     m_i (M⁻¹K)_ij = m_j (M⁻¹K)_ji,      M diagonal.
 """
@@ -12,37 +12,37 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.drives import BaseAcceleration, BaseDisplacement, Force
+from ...mechanics.drives import BaseAcceleration, Force
 from ...mechanics.extended import held_input
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
-from .rows import Series, around_samples, band_of, series_of
+from .band import band_of
+from .rows import Series, around_samples, series_of
 
-MAX_RATIO = 10.0
-"""Ratio of a mass to the first, or of the first to it, beyond which it is not believed."""
+MAX_MASS_RATIO = 10.0
+"""Largest accepted ratio between a mass and the first."""
 
 MAX_ASYMMETRY = 0.3
-"""What is left of M·(M⁻¹K) that is not symmetric, relative to it, beyond which the masses are not believed."""
+"""Largest accepted ‖K − Kᵀ‖/‖K‖ of K = M (M⁻¹K)."""
 
-ROWS = 3
-"""Rows for every number that is fitted to them, at least."""
+ROWS_PER_COEFFICIENT = 3
+"""Rows of the regression for every coefficient, at least."""
 
 KNEES = (0.4, 0.6, 0.75, 0.85, 0.93, 0.98)
-"""Quantiles of a displacement beyond which straight lines stand in for laws of it, with its size and the sign of its
-velocity."""
+"""Quantiles of a displacement from which straight lines begin that stand in for laws; its size and the sign of its
+velocity do so as well."""
 
 
 def as_forces(
-    records: list[Record], drive: BaseAcceleration | BaseDisplacement
+    records: list[Record], drive: BaseAcceleration
 ) -> tuple[list[Record], Force, Float[np.ndarray, "dofs dofs"]]:
     """The motion relative to the base, and where the acceleration of the base acts as a force.
 
     **Arguments:** `records`; `drive`.
 
-    **Returns:** the same with outputs relative to the base and its acceleration as input; the drive of forces; the
-    mass, of which the first is 1.
+    **Returns:** the same with outputs relative to the base; the drive of forces; the mass, of which the first is 1.
 
-    **Raises:** `ComputationError` where the records do not tell the ratios of the masses.
+    **Raises:** `ComputationError` where the records do not determine the ratios of the masses.
     """
     r = np.asarray(drive.direction, float)
     records = [_relative(one, drive, r) for one in records]
@@ -51,21 +51,12 @@ def as_forces(
     return records, Force(-mass @ r), mass
 
 
-def _relative(record: Record, drive, r: Float[np.ndarray, "dofs inputs"]) -> Record:
-    """Outputs relative to the base and its acceleration, as they are around every sample."""
+def _relative(record: Record, drive: BaseAcceleration, r: Float[np.ndarray, "dofs inputs"]) -> Record:
+    """The record with the mean of the input before and after every sample as its input, and outputs relative to it."""
     base = np.asarray(around_samples(*map(np.asarray, held_input(jnp.asarray(record.u), record.hold))))
-    if isinstance(drive, BaseAcceleration):
-        # What an accelerometer on the base would show at a sample is also what its neighbours say.
-        shift = record.u - base if drive.relative else -base
-        return dataclasses.replace(record, u=base, y=record.y + shift @ r.T, hold="linear")
-    h, y = record.sampling_time, np.array(record.y)
-    rate = np.gradient(base, h, axis=0)
-    acceleration = np.zeros_like(base)
-    acceleration[1:-1] = (base[2:] - 2 * base[1:-1] + base[:-2]) / h**2
-    if not drive.relative:
-        moved = {"displacement": base @ r.T, "velocity": rate @ r.T}
-        y -= np.stack([moved[kind][:, k] for k, kind in enumerate(record.measured)], axis=1)
-    return dataclasses.replace(record, u=acceleration, y=y, hold="linear")
+    shift = (record.u - base if drive.relative else -base) @ r.T
+    seen = np.array([kind == "acceleration" for kind in record.measured])
+    return dataclasses.replace(record, u=base, y=record.y + np.where(seen, shift, 0.0), hold="linear")
 
 
 def _masses(series: list[Series], r: Float[np.ndarray, "dofs inputs"]) -> Float[np.ndarray, " dofs"]:
@@ -84,12 +75,12 @@ def _masses(series: list[Series], r: Float[np.ndarray, "dofs inputs"]) -> Float[
         tables.append(np.concatenate([one.q[one.rows], one.v[one.rows], one.row_values(np.hstack(laws))], axis=1))
         targets.append(one.a[one.rows] + one.input_rows @ r.T)
     table = np.concatenate(tables)
-    if len(table) < ROWS * table.shape[1]:
+    if len(table) < ROWS_PER_COEFFICIENT * table.shape[1]:
         raise ComputationError(RESULTS.too_short, stage="force equation", detail=f"{len(table)} rows of motion")
     size = np.maximum(np.linalg.norm(table, axis=0), np.finfo(float).tiny)
     found = np.linalg.lstsq(table / size, np.concatenate(targets), rcond=1e-12)[0] / size[:, None]
     A = -found[:dofs].T
-    # From one coordinate to the next over the strongest coupling: weak ones say nothing of a ratio.
+    # Along a spanning tree of the strongest couplings: a weak one does not determine a ratio.
     strength = A * A.T / np.maximum(np.abs(np.outer(np.diag(A), np.diag(A))), np.finfo(float).tiny)
     masses, known = np.ones(dofs), [0]
     while len(known) < dofs:
@@ -98,7 +89,7 @@ def _masses(series: list[Series], r: Float[np.ndarray, "dofs inputs"]) -> Float[
         masses[j] = masses[i] * (A[i, j] / A[j, i] if strength[i, j] > 0 else np.nan)
         known.append(j)
     K = masses[:, None] * A
-    sound = np.all((masses > 1 / MAX_RATIO) & (masses < MAX_RATIO))
+    sound = np.all((masses > 1 / MAX_MASS_RATIO) & (masses < MAX_MASS_RATIO))
     if not sound or np.linalg.norm(K - K.T) > MAX_ASYMMETRY * np.linalg.norm(K):
         raise ComputationError(RESULTS.nonfinite, stage="force equation", detail="no masses make M⁻¹K symmetric")
     return masses

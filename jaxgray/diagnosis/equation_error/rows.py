@@ -2,13 +2,12 @@
 
     E u = M q̈ + D q̇ + K q + Σ b φ(q, q̇),      every term through the same zero-phase filter.
 
-Of accelerations, the motion is had by integration: then what is below the band is out of reach as well.
+Where accelerations are measured, velocity and displacement are their integrals, and the filter is a band-pass.
 
 **Reference:** Gautier, Janot & Vandanjon, IEEE Trans. Control Syst. Technol. 21 (2013) 428-444.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,40 +18,19 @@ from jaxtyping import Bool, Float
 from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Local, Place, Scales
 from ...mechanics.extended import arm_along, held_input
 from ...mechanics.force_over_time import force_over_time
-from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.stored_programs import stored
 from ...records import Record
 from ..screening.scales import LEVELS, root_mean_square
-
-ABOVE_NOISE = 100.0
-"""The band ends where the power of the motion comes down to so many times that of its noise."""
-
-MIN_PERIODS = 8.0
-"""Periods of the lowest frequency of a band that a record must hold."""
-
-MIN_WIDTH = 2.0
-"""Ratio of the ends of a band of integrated motion, at least."""
+from .band import ORDER, Band, integrals
 
 ROWS_PER_CYCLE = 2.5
 """Rows kept per cycle of the cut-off frequency: about as many as are independent."""
 
+BRIDGED = 0.1
+"""Longest gap, relative to the shortest period of the band, that a straight line bridges."""
+
 AT_REST = 0.1
 """Share of the typical velocity below which a coordinate counts as at rest."""
-
-MAX_DISPLACEMENT_NOISE = 0.01
-"""Noise of a displacement that is had by integration, relative to it, down to which the band goes."""
-
-ORDER = 4
-
-PADDED_PERIODS = 4.0
-"""Periods of the lowest frequency by which a record is padded at both ends before it is integrated."""
-
-
-class Band(NamedTuple):
-    """Frequencies [Hz] of a regression, `low` 0 where no motion is integrated twice."""
-
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -90,56 +68,6 @@ def around_samples(start, end):
     return (start + before) / 2
 
 
-def band_of(records: list[Record]) -> Band:
-    """The band in which the motion of all outputs of all records stands above its noise, missing samples left out.
-
-    **Raises:** `ComputationError` where accelerations have no such band.
-    """
-    bands = [
-        _band_of_column(column[np.isfinite(column)], kind, r.samples, r.sampling_time)
-        for r in records
-        for column, kind in zip(r.y.T, r.measured)
-    ]
-    band = Band(max(one.low for one in bands), min(one.high for one in bands))
-    if band.high < MIN_WIDTH * band.low:
-        detail = f"no band in which all accelerations stand above their noise ({band.low:.3g} to {band.high:.3g} Hz)"
-        raise ComputationError(RESULTS.too_short, stage="force equation", detail=detail)
-    return band
-
-
-def _band_of_column(column: np.ndarray, kind: str, samples: int, sampling_time: float) -> Band:
-    """Where the spectrum of one output stands above its noise, which is the median of the upper half.
-
-    Of displacements and velocities, spectra are taken of second differences, so that slow large motion does not leak
-    into the rest. An acceleration is integrated down to where its noise becomes too much of the displacement.
-    """
-    lowest, highest = MIN_PERIODS / (samples * sampling_time), 0.2 / sampling_time
-    length = max(min(4096, len(column) // 4), min(len(column), 32))
-    integrated = kind == "acceleration"
-    x, window = (column, "blackmanharris") if integrated else (np.diff(column, 2), "hann")
-    frequency, power = scipy.signal.welch(x, 1 / sampling_time, window, nperseg=length)
-    frequency, power = frequency[1:], power[1:]
-    if not integrated:
-        power = power / np.maximum(2 * np.sin(np.pi * frequency * sampling_time), 1e-12) ** 4
-    noise = np.median(power[len(power) // 2 :])
-    if integrated:
-        # Power of the displacement and of its noise, from every frequency on.
-        displacement, its_noise = (
-            np.cumsum(np.maximum(X, 0.0)[::-1])[::-1] for X in ((power - noise) / frequency**4, noise / frequency**4)
-        )
-        ratio = displacement / np.maximum(its_noise, np.finfo(float).tiny)
-        best = int(np.argmax(ratio))
-        noisy = np.flatnonzero(ratio[:best] < 1 / MAX_DISPLACEMENT_NOISE**2)
-        low = max(float(frequency[noisy[-1] + 1 if len(noisy) else 0]), lowest)
-        above = np.flatnonzero(power >= ABOVE_NOISE * noise)
-        high = frequency[above[-1]] if len(above) else highest
-        return Band(low, float(min(high, highest)))
-    below = np.flatnonzero(power < ABOVE_NOISE * noise)
-    below = below[below > np.argmax(power)]
-    high = float(frequency[below[0]]) if len(below) else highest
-    return Band(0.0, float(np.clip(high, min(lowest, highest), highest)))
-
-
 def series_of(
     record: Record,
     band: Band,
@@ -165,7 +93,7 @@ def series_of(
     known = np.isfinite(record.y)
     y = np.stack([_bridged(column, good) for column, good in zip(record.y.T, known.T)], axis=1)
     # Integrated first: what the filter adds at the ends of a record would grow.
-    whole = {k: _integrals(y[:, k], h, band.low) for k, kind in enumerate(record.measured) if kind == "acceleration"}
+    whole = {k: integrals(y[:, k], h, band.low) for k, kind in enumerate(record.measured) if kind == "acceleration"}
     y = scipy.signal.sosfiltfilt(sections, y, axis=0)
     slope = np.gradient(y, h, axis=0)
     second = np.zeros_like(y)
@@ -183,8 +111,10 @@ def series_of(
     good = np.ones(record.samples, bool)
     good[:ends] = good[-ends:] = False
     lost = ~known.all(axis=1) if left_out is None else ~known.all(axis=1) | left_out
-    for gap in np.flatnonzero(lost):
-        good[max(0, gap - edge) : gap + edge + 1] = False
+    for gap in _runs(lost):
+        # What bridges a long gap spoils the integrals as far as an end does.
+        near = ends if len(gap) > BRIDGED / (band.high * h) else edge
+        good[max(0, gap[0] - near) : gap[-1] + near + 1] = False
     # At rest dry friction takes any value up to its limit: such rows say nothing of it, and mislead about the rest.
     if not at_rest:
         good &= ~at_rest_of(v)
@@ -195,18 +125,10 @@ def series_of(
     return Series(q, v, acceleration, start, end, p, rows[good[rows]], sections, band, h)
 
 
-def _integrals(a: Float[np.ndarray, " samples"], sampling_time: float, low: float):
-    """Velocity and displacement of an acceleration that has next to nothing below a frequency [Hz], without what the
-    ends of the record would add there."""
-    samples, around = len(a), int(np.ceil(PADDED_PERIODS / (low * sampling_time)))
-    extended = np.concatenate([np.zeros(around), a - a.mean(), np.zeros(around)])
-    frequency = np.fft.rfftfreq(len(extended), sampling_time)
-    frequency[0] = frequency[1]
-    kept = 1 / (1 + (low / (2 * frequency)) ** (2 * ORDER))
-    kept[0] = 0.0
-    slope, omega = np.fft.rfft(extended) * kept, 2j * np.pi * frequency
-    v, q = (np.fft.irfft(X, len(extended)) for X in (slope / omega, slope / omega**2))
-    return v[around : around + samples], q[around : around + samples]
+def _runs(mask: Bool[np.ndarray, " samples"]) -> list[np.ndarray]:
+    """Samples of a mask, one array for each stretch without a break."""
+    at = np.flatnonzero(mask)
+    return [run for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(run)]
 
 
 def at_rest_of(v: Float[np.ndarray, "samples dofs"]) -> Bool[np.ndarray, " samples"]:

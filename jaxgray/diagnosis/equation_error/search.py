@@ -1,5 +1,5 @@
-"""The diagnosis of records without a usable free run: decided in the force equation, judged on short windows; what it
-would add first, where that only starts refits.
+"""The diagnosis of records without a usable free run: decided in the force equation, judged on short windows.
+`first_trials` ranks the first law alone, as a start of refits by the free run.
 
 Laws are added one by one to E u = M q̈ + D q̇ + K q (`selection.py`). Among those that explain most of what the best one
 explains, a new law goes before one that shares a part with a law already in the model, and the one of the fewest
@@ -23,9 +23,10 @@ from .. import settings
 from ..acceptance import bound_of, unsound
 from ..findings import Reason, Refusal, Rejected
 from ..selection import AbstractSelection, AbstractTrial
+from .band import band_of
 from .library import Library, Scores, score
 from .regression import Equation, ForceFit
-from .rows import band_of, series_of
+from .rows import series_of
 from .unmeasured_forces import BriefForce, samples_of
 from .windows import Windows, window_samples
 
@@ -208,7 +209,7 @@ def search_once(
     **Raises:** `ComputationError` where the force equation has no solution of positive mass.
     """
     left_out = samples_of(brief_forces, records + held)
-    search = _begun(records, drive, catalogue, None, left_out[: len(records)], rng, progress)
+    search = _empty(records, drive, catalogue, None, left_out[: len(records)], rng, progress)
     band = search.equation.series[0].band
     everything = [series_of(r, band, at_rest=True, left_out=mask) for r, mask in zip(records + held, left_out)]
     search.windows = Windows(records + held, everything, window_samples(records + held), left_out)
@@ -218,28 +219,31 @@ def search_once(
     return search
 
 
-def proposals(
+def first_trials(
     records: list[Record],
     drive: AbstractDrive,
     catalogue: tuple[AbstractEffect, ...],
     mass: np.ndarray | None,
     progress: AbstractProgress,
 ) -> list[Trial]:
-    """What the force equation would add first, best first, judged by its rows alone.
+    """Trials of the first law, best first, judged by the rows of the equation alone.
 
-    **Arguments:** `records`; `drive`: forces; `catalogue`; `mass`: where it is known; `progress`.
+    **Arguments:** `records`; `drive`: forces; `catalogue`; `mass`: where it is known, on an accelerated base;
+    `progress`.
 
-    **Raises:** as `search_once`.
+    **Returns:** those that are beyond doubt, none where there is no such.
+
+    **Raises:** as `search_once`, and `ComputationError` where there is no band above the noise, or too few rows.
     """
     if mass is not None:
-        # The input is no force there.
+        # There the input is an acceleration: effects of the input do not apply.
         catalogue = tuple(effect for effect in catalogue if effect.places != "input")
-    search = _begun(records, drive, catalogue, mass, samples_of((), records), np.random.default_rng(0), progress)
+    search = _empty(records, drive, catalogue, mass, samples_of((), records), np.random.default_rng(0), progress)
     trials = search.trials() if search.looks(False) else []
     return [trial for trial in trials if trial.delta_bic >= settings.CLEAR_DELTA_BIC and unsound(trial) is None]
 
 
-def _begun(records, drive, catalogue, mass, left_out, rng, progress) -> Search:
+def _empty(records, drive, catalogue, mass, left_out, rng, progress) -> Search:
     """The search before anything is added."""
     progress.unlimited.stage("setting up the force equation")
     E = np.asarray(drive.input_map)

@@ -28,10 +28,10 @@ class SearchContext:
     `simulator`; `data` of estimation and of validation; `catalogue`; `names` of inputs and outputs; `held`: entries
     that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
     of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
-    `forces`: gives what the force equation finds (None where it has no solution), where it may be asked; `proposed`:
-    gives what it would add first, where that only starts refits;
-    `out_of_step`: whether the free run is of no use unless that brings it into step; `white`: whether the noise is
-    taken for white whatever a refit leaves, not estimated with it.
+    `forces`: gives what the force equation finds (None where it has no solution), where it may be asked;
+    `first_trials`: gives its trials of the first law, where they only start refits; `out_of_step`: whether the free run
+    is of no use unless what the force equation says brings it into step; `white`: whether the noise is taken for white
+    whatever a refit leaves, not estimated with it.
     """
 
     simulator: Simulator
@@ -46,7 +46,7 @@ class SearchContext:
     progress: AbstractProgress
     identified: "Identified | None" = None
     forces: "Callable[[], Search | None] | None" = None
-    proposed: "Callable[[], list[Trial]] | None" = None
+    first_trials: "Callable[[], list[Trial]] | None" = None
     out_of_step: bool = False
     white: bool = False
 

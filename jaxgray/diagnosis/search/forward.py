@@ -95,7 +95,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         first = from_forces(context, state.stage, screening) if left > 0 else []
         return 1 if _accepted(context, state, first, Move.FORCE_EQUATION) else None
     closer = None
-    if not screening.fires and not strong(screening):
+    if not _tried_by_forces(context, state, left) and not screening.fires and not strong(screening):
         closer = behind_the_noise(context, state.stage, screening)
         if closer is None and wrong_entries(context, state.stage, screening, least=settings.CLEAR_DELTA_BIC):
             # A run that is out of step shows no entry to first order, and all it leaves passes for noise at the forces.
@@ -103,8 +103,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         if closer is None:
             found = left > 0 and (
                 _accepted(context, state, hidden_modes(context, state.stage, screening), Move.HIDDEN_MODE)
-                or context.forces is not None
-                and _accepted(context, state, from_forces(context, state.stage, screening), Move.FORCE_EQUATION)
+                or _accepted(context, state, from_forces(context, state.stage, screening), Move.FORCE_EQUATION)
             )
             return 1 if found else None
     if left <= 0:
@@ -140,6 +139,13 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     state.unexplained = screening.fires and not refuted
     # What is lent its place needs another round to redeem it.
     return 1 if not refuted and left > 1 and _provisional(context, state, ranked) else None
+
+
+def _tried_by_forces(context: SearchContext, state: SearchState, left: int) -> bool:
+    """Whether the force equation has trials of a first law, and the free run is out of step: then all that is left may
+    pass for noise."""
+    first = left > 0 and context.out_of_step and not state.stage.candidate.terms
+    return first and context.first_trials is not None and bool(context.first_trials())
 
 
 def _largest_gain(context: SearchContext, state: SearchState, ranked: list[Attempt]) -> float:

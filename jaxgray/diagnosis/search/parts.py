@@ -5,7 +5,7 @@ times as long, up to the whole, where it shows nothing. What belongs to the cloc
 stiffness, is looked for in the whole.
 
 A strong effect takes the free run of the linear model out of step with the record, and scores about it then name
-anything: there the force equation is asked first.
+anything: there the trials of the force equation count, whatever the gate says.
 """
 
 import dataclasses
@@ -25,7 +25,6 @@ from ..model.candidate import Candidate, Data
 from ..model.simulator import Simulator
 from ..noise.whitening import white_noise_model, white_part
 from ..screening.linearization import screen_simulated
-from ..starts.equation_error import force_equation_finds
 from .forward import extend, select_forward
 from .state import SearchState, held_out_run, stage_of_candidate
 
@@ -59,8 +58,7 @@ def search(
     *,
     errors: tuple[AbstractEffect, ...] = (),
 ) -> tuple[SearchState, "Searched"]:
-    """Extend the baseline until nothing more is found, on a part first where records are long, from the force equation
-    where the free run does not follow them.
+    """Extend the baseline until nothing more is found, on a part first where records are long.
 
     **Arguments:** `context`; `baseline`; `max_effects`; `errors`: as for `select_forward`, where numbers of a given
     model may be wrong: the whole record is then searched.
@@ -79,28 +77,11 @@ def search(
         if state.unexplained:
             break
         size *= LONGER
-    asked = context.proposed is not None and max_effects > 0
-    missed = missed_share(context.simulator, start, context.data[0]) if asked else 0.0
-    if missed >= settings.OUT_OF_STEP:
-        state = _from_forces(context, start, max_effects, missed)
-        if state is not None:
-            return state, Searched(context, state, None)
-        context = dataclasses.replace(context, proposed=None)
+    if context.first_trials is not None:
+        missed = missed_share(context.simulator, start, context.data[0])
+        context = dataclasses.replace(context, out_of_step=missed >= settings.OUT_OF_STEP)
     state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))
     return state, Searched(context, state, None)
-
-
-def _from_forces(context: SearchContext, start: Candidate, max_effects: int, missed: float) -> SearchState | None:
-    """The search begun with what the force equation finds, where it is asked, and that brings the free run into step;
-    None otherwise."""
-    if not force_equation_finds(context):
-        return None
-    steps = context.simulator.substeps
-    state = select_forward(dataclasses.replace(context, out_of_step=True), start, max_effects)
-    if state.accepted and _much_nearer(context, state.fit.candidate, missed):
-        return state
-    context.simulator.substeps = steps
-    return None
 
 
 def missed_share(simulator: Simulator, candidate: Candidate, data: Data) -> float:
@@ -120,11 +101,6 @@ def missed_share(simulator: Simulator, candidate: Candidate, data: Data) -> floa
     left = np.maximum(variance(e) - white_part(e, kept), 0.0)
     moving = size > 1e-12 * max(float(size.max()), 1e-300)
     return float(np.max(left[moving] / size[moving], initial=0.0))
-
-
-def _much_nearer(context: SearchContext, candidate: Candidate, missed: float) -> bool:
-    """Whether the free run of a candidate leaves much less of the record than one that leaves such a share."""
-    return missed_share(context.simulator, candidate, context.data[0]) < settings.MUCH_NEARER**2 * missed
 
 
 def _part(context: SearchContext, baseline: Baseline, size: int) -> tuple[SearchContext, Candidate, str]:
@@ -147,7 +123,7 @@ def _cut(context: SearchContext, size: int) -> tuple[SearchContext, list[int]]:
     begins = [_liveliest(d, size) for d in context.data]
     data = [d.part(begin, size) for d, begin in zip(context.data, begins)]
     held = [d.part(_liveliest(d, size), size) for d in context.validation]
-    return dataclasses.replace(context, data=data, validation=held, catalogue=lasting, proposed=None), begins
+    return dataclasses.replace(context, data=data, validation=held, catalogue=lasting, first_trials=None), begins
 
 
 def _liveliest(data: Data, size: int) -> int:

@@ -15,7 +15,7 @@ from ..noise.whitening import estimate_noise_model, white_noise_model
 from ..screening.linearization import Stage, screen_simulated, screen_smoothed
 from ..screening.score_test import Screening
 from ..screening.shortlist import adds_mode, listed_with, shortlist
-from ..starts.equation_error import from_forces
+from ..starts.equation_error import from_first_trials, from_forces
 from ..starts.force_matching import force_matched
 from ..starts.lookalikes import (
     at_other_places,
@@ -37,12 +37,11 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     noise_model = closer.noise_model if closer.shows else white_noise_model(stage.e, context.data[0].kept, stage.system)
     listed = listed_with(shortlist(screening, closer), wrong_entries(context, stage, screening))
     known = changes_over_time(context, stage, screening)
-    if context.proposed is not None:
-        known |= {attempt.name: (attempt.score, attempt.fit) for attempt in from_forces(context, stage, screening)}
+    known |= {a.name: (a.score, a.fit) for a in from_first_trials(context, stage, screening)}
     listed = [scores for scores in listed if (scores[0].shape.effect.id, scores[0].shape.place.name) not in known]
     attempts = attempts_of(context, stage, listed, noise_model, state.rejected, known)
     ranked = compared(context, stage, list(attempts.values()))
-    if context.proposed is None and (forced := from_forces(context, stage, screening)):
+    if forced := from_forces(context, stage, screening):
         ranked = _better_ones(compared(context, stage, ranked + forced))
     if ranked:
         tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}

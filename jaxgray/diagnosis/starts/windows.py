@@ -34,18 +34,7 @@ from ..noise.whitening import NoiseModel, white_noise_model
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
 from ..screening.shortlist import begun_at
-
-WINDOWS = 8
-"""Windows that a record is divided into; others lie across their borders."""
-
-PERIODS = 3.0
-"""Of the slowest mode that a window must hold."""
-
-ROWS = 4
-"""Samples of a window for every number that is fitted to it."""
-
-RIGID = 1e-4
-"""Frequency, relative to the highest, up to which a mode is that of a rigid body."""
+from .multiple_shooting import RIGID, WINDOWS, long_enough, squares_left
 
 STEPS = 25
 """Of the refit of a window, and of the first refit of a law."""
@@ -155,24 +144,6 @@ def _laws(screening: Screening) -> list[Score]:
     return list(found.values())
 
 
-def long_enough(hz: np.ndarray, data: Data, size: int, numbers: int) -> bool:
-    """Whether a part of a record holds periods enough of a model's slowest mode, and samples enough to fit so many
-    numbers to.
-
-    **Arguments:** `hz`: natural frequencies, lowest first; `data`; `size` of the part [samples]; `numbers`.
-    """
-    slowest = float(next(iter(hz[hz > RIGID * hz[-1]]), 0.0))
-    return size * data.sampling_time * slowest >= PERIODS and size >= ROWS * numbers
-
-
-def squares_left(context: SearchContext, candidate: Candidate, noise_model: NoiseModel) -> float:
-    """Squares that the free run of a candidate leaves of the first record, in units of a noise; infinite where it
-    overflows."""
-    data = context.data[0]
-    e = np.where(data.kept, data.y - context.simulator.run(candidate, data), 0.0) / noise_model.level
-    return float(np.sum(e**2)) if bounded(e) else np.inf
-
-
 def _level(stage: Stage, data: Data) -> NoiseModel:
     """White noise of every output as large as what the model of the whole record leaves there."""
     level = np.sqrt(np.sum(stage.e**2, axis=0) / np.maximum(data.kept.sum(axis=0), 1))
@@ -188,8 +159,8 @@ def _share(windows: list[_Window]) -> float:
 def _from_neighbours(
     context: SearchContext, stage: Stage, noise_model: NoiseModel, windows: list[_Window]
 ) -> list[_Window]:
-    """The windows, those that are left with far more than the best of them refitted from the models of the windows
-    beside them as well: from a model out of step, the refit of one or the other ends elsewhere."""
+    """The windows, those left with more than `FAR` times the least refitted from each neighbour that fits better as
+    well; the best end counts: from a start of large phase error a refit may end in another minimum."""
     least = FAR * min(window.left for window in windows)
 
     def better(k: int) -> _Window:
