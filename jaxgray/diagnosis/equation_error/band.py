@@ -88,9 +88,12 @@ def _band_of_column(column: np.ndarray, kind: str, samples: int, sampling_time: 
 
 
 def integrals(a: Float[np.ndarray, " samples"], sampling_time: float, low: float):
-    """Velocity and displacement by integration in the frequency domain, without what is far below a frequency [Hz].
+    """Velocity and displacement by integration in the frequency domain, without what is far below a frequency.
 
-    **Arguments:** `a`: acceleration; `sampling_time` [s]; `low`: at half of it, half is left.
+    **Arguments:** `a`: acceleration, missing samples filled; `sampling_time` [s]; `low` [Hz]: at half of it, half of
+    the motion is left.
+
+    **Returns:** velocity and displacement in units of `a`, each of its length.
     """
     samples, around = len(a), int(np.ceil(PADDED_PERIODS / (low * sampling_time)))
     extended = np.concatenate([np.zeros(around), a - a.mean(), np.zeros(around)])

@@ -53,7 +53,7 @@ class Data:
         )
 
     def part(self, begin: int, size: int, *, padded: bool = False) -> "Data":
-        """A part of the record; the record itself where it is shorter. `padded`: to one of a few
+        """A part of the record, the record itself where that is shorter. `padded`: with its last input, to one of a few
         lengths."""
         if self.samples <= size:
             return self

@@ -19,18 +19,14 @@ from ..noise.whitening import NoiseModel
 WINDOWS = 8
 """Windows that a record is divided into; others lie across their borders."""
 
-
 PERIODS = 3.0
 """Of the slowest mode that a window must hold."""
-
 
 ROWS = 4
 """Samples of a window for every number that is fitted to it."""
 
-
 RIGID = 1e-4
 """Frequency, relative to the highest, up to which a mode is that of a rigid body."""
-
 
 STEPS = 25
 """Of the refit."""
@@ -39,8 +35,8 @@ STEPS = 25
 def over_windows(context: SearchContext, candidate: Candidate, series: Series, noise_model: NoiseModel) -> Candidate:
     """A candidate refitted to windows of the first record together, each with a first state of its own.
 
-    **Arguments:** `context`; `candidate`; `series`: the record in the band of the force equation, which gives the first
-    states; `noise_model`.
+    **Arguments:** `context`; `candidate`; `series`: the first record in the band of the force equation, whose q and q̇
+    begin the first states; `noise_model`.
 
     **Returns:** a `Candidate`; the one given where the windows are too short, or the run over the whole record is no
     nearer.
