@@ -274,6 +274,20 @@ class Diagnosing:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OwnSimulator:
+    """A simulator of the user's own, which `diagnose` judges."""
+
+    simulator: Annotated[
+        str | None,
+        _option("--simulator", metavar="FILE.py:FUNCTION", help="Judge this simulator y = f(u, w, numbers) instead."),
+    ] = None
+    parameters: Annotated[
+        str | None, _option("--parameters", metavar="NAME=X,…", help="The simulator's numbers, as it has them.")
+    ] = None
+    workers: Annotated[int, _option("--workers", metavar="N", help="Processes that run the simulator.")] = 1
+
+
+@dataclass(frozen=True, kw_only=True)
 class Fleet:
     """What `fleet` takes besides the options of one record."""
 

@@ -11,6 +11,7 @@ from .arguments import (
     Fitting,
     Listing,
     Output,
+    OwnSimulator,
     Reporting,
     Talk,
     takes_groups,
@@ -29,14 +30,15 @@ def diagnose(
     excitation: Excitation,
     fitting: Fitting,
     diagnosing: Diagnosing,
+    simulating: OwnSimulator,
     output: Output,
     reporting: Reporting,
     talk: Talk,
 ) -> None:
     """Say what a model of the record gets wrong, name the cause, add it, and prove the gain on held-out data.
 
-    The model is fitted to the record, or given by --model. Without --validation and --holdout the last 30 % of the
-    record are held out.
+    The model is fitted to the record, or given by --model, or is your own simulator, given by --simulator. Without
+    --validation and --holdout the last 30 % of the record are held out.
     """
     from ..report import terminal
     from . import files
@@ -44,6 +46,7 @@ def diagnose(
     files.check_holdout(channels)
     files.check_places(output.json, reporting.report, diagnosing.experiment)
     checked(fitting, diagnosing)
+    check_simulator(simulating, diagnosing)
     options = subspace_options(excitation)
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
@@ -62,13 +65,15 @@ def diagnose(
         from ..report.diagnosis_summary import diagnosis_document
         from ..report.diagnosis_terminal import show_diagnosis
 
+        if simulating.simulator is None:
+            options |= {"structure": words(fitting.structure), "fix": fitting.fix, "noise": fitting.noise}
+        else:
+            options = {"simulator": files.simulator(simulating.simulator), "workers": simulating.workers}
         result = diagnose(
             record,
             validation=validation,
             model=model,
-            structure=words(fitting.structure),
-            fix=fitting.fix,
-            noise=fitting.noise,
+            parameters=files.parameters(simulating.parameters),
             only=only,
             exclude=exclude,
             max_effects=diagnosing.max_effects,
@@ -121,6 +126,16 @@ def checked(fitting: Fitting, diagnosing: Diagnosing) -> None:
         raise ValueError(f"--budget={diagnosing.budget:g} is no time; give a positive number of seconds.")
     if diagnosing.seed < 0:
         raise ValueError(f"--seed={diagnosing.seed} is negative; give a whole number from 0.")
+
+
+def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing) -> None:
+    """Raise `ValueError` for options of a simulator that do not go together."""
+    if simulating.simulator is not None and diagnosing.model is not None:
+        raise ValueError("--simulator and --model are two things to judge; give one of them.")
+    if simulating.simulator is None and simulating.parameters is not None:
+        raise ValueError("--parameters are those of a simulator; give --simulator FILE.py:FUNCTION as well.")
+    if simulating.workers < 1:
+        raise ValueError(f"--workers={simulating.workers} is no number of processes; give a whole number from 1.")
 
 
 def ids(option: str, text: str | None) -> tuple[str, ...] | None:

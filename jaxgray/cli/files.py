@@ -124,6 +124,48 @@ def own_model(path: Path, record: Record, excitation: Excitation):
     return dataclasses.replace(model, drive=drive, measured=record.measured, **names)
 
 
+def simulator(text: str):
+    """A function of a Python file, given as FILE.py:FUNCTION.
+
+    **Raises:** `ValueError` where there is no such file or function, or the file does not run.
+    """
+    import importlib
+    import sys
+
+    path, _, name = text.rpartition(":")
+    if not path or not name or not Path(path).is_file():
+        raise ValueError(f"--simulator={text}: give a Python file and a function of it, such as robot.py:simulate.")
+    # By its own name and in its folder, so that other processes find it.
+    module = Path(path).stem
+    sys.path.insert(0, str(Path(path).resolve().parent))
+    try:
+        made = importlib.import_module(module)
+    except Exception as error:
+        raise ValueError(f"--simulator={text}: {path} raised {type(error).__name__}: {error}") from error
+    if not callable(getattr(made, name, None)):
+        raise ValueError(f"--simulator={text}: {path} has no function {name}.")
+    return getattr(made, name)
+
+
+def parameters(text: str | None) -> dict[str, float] | None:
+    """Numbers by name from NAME=X,…; None for none.
+
+    **Raises:** `ValueError` for anything else.
+    """
+    if text is None:
+        return None
+    made = {}
+    for part in filter(None, (one.strip() for one in text.split(","))):
+        name, _, value = part.partition("=")
+        try:
+            made[name.strip()] = float(value)
+        except ValueError:
+            raise ValueError(
+                f"--parameters: {part!r} is no number by name; write NAME=X, with commas between."
+            ) from None
+    return made
+
+
 def record_of(path: Path) -> dict:
     """Sampling time and hold of the record that a model came from, where its file says so."""
     if path.suffix.lower() != ".json":

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import difflib
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -49,6 +50,7 @@ from .model.held_out_gain import gain_of
 from .model.own_laws import laws_of, owner_of, parameter_errors
 from .model.simulator import Simulator, steps_of
 from .noise.floor import independent_floor, residual_rms
+from .own_simulator import diagnose_simulator
 from .result import Diagnosis
 from .routing import asked_of_forces, begin, by_force_equation, force_equation_trials, may_come_into_step
 from .screening.flexible_force import FlexibleForce
@@ -70,6 +72,9 @@ def diagnose(
     *,
     validation: Record | list[Record] | None = None,
     model: MechanicalModel | None = None,
+    simulator: Callable | None = None,
+    parameters: Mapping[str, float] | None = None,
+    workers: int = 1,
     catalogue: tuple[AbstractEffect, ...] = CATALOGUE,
     only=None,
     exclude=None,
@@ -88,6 +93,11 @@ def diagnose(
     - `validation`: records that the fit does not see; default the last part of the record.
     - `model`: the user's own model, judged as it is, with its effects: which of its numbers are wrong, then what it
       lacks; default the model identified from the record.
+    - `simulator`: the user's own simulation y = f(u, w, θ) in the place of a model, of one whole record from its start:
+      inputs (samples × inputs), forces w at the coordinates of the outputs (samples × outputs, held as the inputs are)
+      and numbers θ by name → displacements (samples × outputs). Which of its numbers are off, then which laws it lacks.
+    - `parameters`: θ as the simulator has them; a number keeps its sign, and one that is 0 does not become negative.
+    - `workers`: processes that run the simulator side by side (it must then be importable); default 1.
     - `catalogue`: effects to look for; append your own.
     - `only`, `exclude`: ids of effects to look for alone, or to leave out; default none.
     - `max_effects`: how many effects may be added; default 4.
@@ -110,6 +120,23 @@ def diagnose(
     if not isinstance(max_effects, int) or max_effects < 0:
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
     searched = chosen_effects(catalogue, only, exclude)
+    if simulator is not None:
+        return _of_simulator(
+            simulator,
+            parameters,
+            workers,
+            record,
+            validation,
+            model,
+            searched,
+            max_effects,
+            holdout,
+            seed,
+            progress,
+            options,
+        )
+    if parameters is not None:
+        raise ValueError("parameters are those of a simulator; give simulator=, a function of inputs, forces, numbers.")
     records = [record] if isinstance(record, Record) else list(record)
     separate = validation is not None
     if separate:
@@ -200,6 +227,42 @@ def _of_clean_records(
         anew += (f"{searched.where}; every number is of the refit on the whole record.",)
     warnings = baseline.left_out + anew + beyond_the_fit(records, held) + found.warnings
     return dataclasses.replace(found, findings=outliers + found.findings, warnings=warnings)
+
+
+def _of_simulator(
+    simulator, parameters, workers, record, validation, model, searched, max_effects, holdout, seed, progress, options
+) -> Diagnosis:
+    """The diagnosis of the user's own simulator, which runs every record from its start."""
+    if model is not None or options:
+        more = ", ".join(["model"] * (model is not None) + sorted(options))
+        raise ValueError(f"{more} given with a simulator, which says itself how the system moves; leave it out.")
+    records = [record] if isinstance(record, Record) else list(record)
+    held = [] if validation is None else [validation] if isinstance(validation, Record) else list(validation)
+    check_compatible(records + held)
+    if not held and len(records) > 1:
+        records, held = records[:-1], records[-1:]
+    separate = bool(held)
+    whole, unseen = [without_defects(r) for r in records], [without_defects(r) for r in held]
+    if separate:
+        spans = [(r, slice(0, r.samples), None) for r in whole] + [(r, None, slice(0, r.samples)) for r in unseen]
+    else:
+        cut = whole[0].split(holdout)[0].samples
+        spans = [(whole[0], slice(0, cut), slice(cut, whole[0].samples))]
+    check_enough(
+        [r[fit] for r, fit, _ in spans if fit is not None], [r[part] for r, _, part in spans if part is not None]
+    )
+    found = diagnose_simulator(
+        simulator,
+        parameters,
+        spans,
+        catalogue=searched,
+        max_effects=max_effects,
+        separate=separate,
+        seed=seed,
+        workers=workers,
+        progress=progress,
+    )
+    return dataclasses.replace(found, findings=merged(record_findings(records[0]) + found.findings))
 
 
 def chosen_effects(catalogue, only, exclude) -> tuple[AbstractEffect, ...]:

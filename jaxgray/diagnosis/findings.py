@@ -233,3 +233,4 @@ class DiagnosisFields:
     terms: tuple[Term, ...] = ()
     own_model: bool = False
     gate: tuple[Gated, ...] = ()
+    beside: Float[np.ndarray, "samples dofs"] | None = field(default=None, repr=False)

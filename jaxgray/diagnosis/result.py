@@ -18,7 +18,8 @@ class Diagnosis(DiagnosisFields, Shown):
     explain on held-out data; `depends_on`: variables on which an unexplained rest depends; `rejected`; `not_found`;
     `shifts` of M, D, K; `budget`: share of every term, noise and the unexplained in the baseline's mean square error,
     in percent; `next_experiment`; `warnings`; `curves` for the figures; `identification`: the linear fit, None with
-    the user's own model; `terms` accepted.
+    the user's own model; `terms` accepted; `beside`: forces at the coordinates of the first record that act on the
+    linear model beside its inputs, where that stands for the user's own simulator, else None.
     """
 
     @property

@@ -56,6 +56,10 @@ class RESULTS(eqx.Enumeration):
         "The record shows no inertia: the motion follows the force quasi-statically, so that mass and damping "
         "cannot be told. Excite nearer to the natural frequencies."
     )
+    simulator_failed = (
+        "The simulator that was given gives no outputs that can be used. Run it with these inputs, mend it, or give "
+        "other numbers."
+    )
     nonfinite = "The computation produced infinite or undefined values. Check the record's scale and offsets."
 
 

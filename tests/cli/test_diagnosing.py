@@ -302,3 +302,34 @@ def test_public_names():
     assert {"diagnose", "Diagnosis", "CATALOGUE", "save", "load"} <= set(jaxgray.__all__)
     assert jaxgray.Diagnosis is type(diagnosis()) and len(jaxgray.CATALOGUE) > 30
     assert jaxgray.load.__module__ == jaxgray.save.__module__ == "jaxgray.report.export"
+
+
+SIMULATOR = """
+def simulate(u, w, numbers):
+    return numbers["gain"] * u[:, :1]
+"""
+
+
+def test_a_simulator_comes_from_a_file_with_its_numbers(asked, tmp_path, records):
+    program = tmp_path / "bench_simulator.py"
+    program.write_text(SIMULATOR)
+    run("diagnose", records[0], *CHANNELS, "--simulator", f"{program}:simulate", "--parameters", "gain=2, loss=1e-3")
+    assert asked.options["parameters"] == {"gain": 2.0, "loss": 0.001} and asked.options["workers"] == 1
+    assert asked.options["simulator"](np.ones((3, 2)), None, {"gain": 2.0}).tolist() == [[2.0]] * 3
+    assert "structure" not in asked.options and "excitation" not in asked.options
+
+
+def test_a_simulator_that_is_not_there_is_said_to_be(capsys, tmp_path, records):
+    program = tmp_path / "other_simulator.py"
+    program.write_text("raise RuntimeError('no licence')")
+    diagnose = ["diagnose", records[0], *CHANNELS]
+    fails(capsys, [*diagnose, "--simulator", "nowhere.py:simulate"], "nowhere.py:simulate", "such as robot.py:simulate")
+    fails(capsys, [*diagnose, "--simulator", f"{program}:simulate"], "raised RuntimeError: no licence")
+    program = tmp_path / "third_simulator.py"
+    program.write_text(SIMULATOR)
+    fails(capsys, [*diagnose, "--simulator", f"{program}:run"], "has no function run")
+    given = [*diagnose, "--simulator", f"{program}:simulate"]
+    fails(capsys, [*given, "--parameters", "gain"], "'gain'", "NAME=X")
+    fails(capsys, [*given, "--workers", "0"], "--workers=0")
+    fails(capsys, [*given, "--model", program], "--simulator and --model")
+    fails(capsys, [*diagnose, "--parameters", "gain=1"], "--parameters are those of a simulator")

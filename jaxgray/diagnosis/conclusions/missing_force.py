@@ -114,7 +114,10 @@ class _Equation:
             for t in model.effects or diagnosis.terms
             if _is_force(t)
         }
-        return cls(diagnosis, series, E, series.input_rows @ E.T - inner, laws)
+        outer = series.input_rows @ E.T
+        if diagnosis.beside is not None:
+            outer = outer + series.row_values(diagnosis.beside)
+        return cls(diagnosis, series, E, outer - inner, laws)
 
     def at(self, finding: Finding, term: Term) -> MissingForce:
         """What is missing where a term acts, seen along its arm, and what its law makes of it."""

@@ -212,7 +212,7 @@ class Simulator:
         if len(plain.terms) == len(full.terms):
             return None
         setup = dataclasses.replace(self.setup, own=())
-        return Simulator(setup, self.laws, substeps=self.substeps), plain
+        return type(self)(setup, self.laws, substeps=self.substeps), plain
 
     def _inputs(self, candidate: Candidate, data: Data):
         terms = _only(candidate.terms, AbstractInputEffect)

@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 
 from ...mechanics.drives import Force
-from ...numerics.text import listed
+from ...numerics.text import listed, plus_minus
 from .. import settings
 from ..findings import DiagnosisFields, Finding, Gain, ParameterShift
 from .titles import number_of, parameters_text, place_of, title_of, value_text
@@ -30,7 +30,8 @@ def verdict_sentence(diagnosis: DiagnosisFields) -> str:
 
     **Returns:** a few sentences in one line.
     """
-    subject = "Your model" if diagnosis.own_model else "The linear model"
+    own = "Your model" if diagnosis.beside is None else "Your simulator"
+    subject = own if diagnosis.own_model else "The linear model"
     causes = [f for f in diagnosis.findings if f.stage == "model" and f.effect and f.status != "unexplained"]
     parts = [_missed(diagnosis, subject)]
     if causes:
@@ -130,6 +131,10 @@ def _correction(finding: Finding, names: tuple[str, ...]) -> str:
     delta = finding.parameters.get("delta")
     if delta is None:
         return f"{what} is wrong"
+    value = finding.parameters.get("value")
+    if value is not None:
+        given = plus_minus(value.value - delta.value)
+        return f"{what} is {value_text(value.value, value.standard_error, value.unit, digits=1)}, not {given}"
     size = value_text(abs(delta.value), delta.standard_error, delta.unit, digits=1)
     text = f"{what} should be {'higher' if delta.value > 0 else 'lower'} by {size}"
     return text + _rivals(finding, names)

@@ -1,0 +1,125 @@
+"""A pendulum that a user simulates, on trial as a function: wrong numbers, and a law that it lacks.
+
+    python benchmarks/own_simulator.py [--first 1] [--records 56] [--without 30] [--json OUT]
+
+The record is that of the same equations with the true numbers and one hidden effect, the noise 0.2 to 1 % of the
+motion (tests/pendulum.py); the user's four numbers are 3 % off each. A hidden Coulomb friction belongs to the user's
+own number. Seeds 1 to 99 served development.
+"""
+
+import argparse
+import json
+import pathlib
+import sys
+import time
+import warnings
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "tests"))
+
+import jax
+import numpy as np
+
+jax.config.update("jax_enable_x64", True)
+
+import pendulum  # noqa: E402
+
+import jaxgray  # noqa: E402
+
+H = 0.01
+EFFECTS = (*pendulum.LAWS, "input_delay", "input_saturation")
+SIZES = {
+    "cubic_stiffness": (0.05, 0.3),
+    "quadratic_drag": (0.004, 0.03),
+    "coulomb_friction": (0.02, 0.08),
+    "end_stop": (0.6, 0.9),
+    "sine_stiffness": (0.02, 0.08),
+    "input_delay": (0.003, 0.02),
+    "input_saturation": (0.7, 0.9),
+}
+"""Least and largest: of the stop and the saturation in shares of the largest angle and torque, the delay in s."""
+SAME = {"end_stop": {"end_stop", "dead_zone_stiffness"}}
+"""What is the same law under another name."""
+
+
+def drawn(seed, effect):
+    """A record, the user's numbers, and the size of the hidden effect."""
+    rng = np.random.default_rng([seed, 11])
+    samples = int(rng.choice([2000, 3000]))
+    u = pendulum.torque(samples, rng, size=rng.uniform(0.6, 0.9), highest=rng.uniform(1.5, 3.0))
+    clean = pendulum.run(u)
+    size = 0.0
+    if effect is not None:
+        low, high = SIZES[effect]
+        size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    if effect == "end_stop":
+        size *= float(np.max(np.abs(clean)))
+    if effect in pendulum.LAWS:
+        clean = pendulum.run(u, law=pendulum.LAWS[effect], size=size)
+    elif effect == "input_saturation":
+        size *= float(np.max(np.abs(u)))
+        clean = pendulum.run(np.clip(u, -size, size))
+    elif effect == "input_delay":
+        # The held torque of a finer grid, later by a whole number of its samples.
+        fine = 20
+        late = int(round(size * fine / H))
+        size = late * H / fine
+        torque = np.concatenate([np.zeros(late), np.repeat(u, fine)])[: samples * fine]
+        clean = pendulum.run(torque, h=H / fine, steps=2)[::fine]
+    noise = np.exp(rng.uniform(np.log(0.002), np.log(0.01))) * clean.std()
+    y = clean + noise * rng.standard_normal(samples)
+    return jaxgray.Record(u, y, H, input_units=["N m"], output_units=["rad"]), pendulum.off(rng), size
+
+
+def judged(seed, effect):
+    record, numbers, size = drawn(seed, effect)
+    calls = [0]
+
+    def simulator(u, w, given):
+        calls[0] += 1
+        return pendulum.simulator(u, w, given)
+
+    began = time.perf_counter()
+    row = {"seed": seed, "effect": effect, "size": size}
+    try:
+        found = jaxgray.diagnose(record, simulator=simulator, parameters=numbers)
+    except jaxgray.ComputationError as error:
+        return row | {"failed": str(error)}
+    laws = [f for f in found.findings if f.stage == "model" and f.effect not in ("parameter_error", "unexplained")]
+    off = [abs(s.after - pendulum.TRUTH[s.name]) / s.standard_error for s in found.shifts if s.name != "friction"]
+    row |= {"verdict": found.verdict, "found": [(f.effect, f.location, f.status) for f in laws]}
+    row |= {"calls": calls[0], "seconds": time.perf_counter() - began, "excess": found.excess}
+    row |= {"baseline_excess": found.baseline_excess, "deviations": off, "gain": found.gain and found.gain.percent}
+    if effect in (None, "coulomb_friction"):
+        friction = {s.name: s for s in found.shifts}["friction"]
+        row["right"] = not laws and found.verdict in ("named", "noise")
+        row["friction"] = abs(friction.after - pendulum.TRUTH["friction"] - size) / friction.standard_error
+    else:
+        members = [{m.effect for m in f.members} | {f.effect} for f in laws]
+        row["right"] = len(laws) == 1 and bool(members[0] & SAME.get(effect, {effect}))
+        row["alone"] = row["right"] and len(members[0]) == 1
+    return row
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--records", type=int, default=56)
+    parser.add_argument("--without", type=int, default=30)
+    parser.add_argument("--json")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    rows = []
+    cases = [(given.first + k, EFFECTS[(given.first + k) % len(EFFECTS)]) for k in range(given.records)]
+    cases += [(given.first + given.records + k, None) for k in range(given.without)]
+    for seed, effect in cases:
+        rows.append(judged(seed, effect))
+        print(rows[-1], flush=True)
+        if given.json:
+            pathlib.Path(given.json).write_text(json.dumps(rows, indent=1, default=float))
+    hidden, plain = ([r for r in rows if (r["effect"] is None) == none] for none in (False, True))
+    right = [sum(r.get("right", False) for r in group) for group in (hidden, plain)]
+    print(f"own simulator: {right[0]} of {len(hidden)} right; without: {len(plain) - right[1]} of {len(plain)} false")
+
+
+if __name__ == "__main__":
+    main()

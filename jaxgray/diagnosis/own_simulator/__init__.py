@@ -1,0 +1,18 @@
+"""The user's own simulator on trial: y = f(u, w, θ), with w a force at every coordinate and θ its numbers.
+
+    calls         the simulator as it is called, side by side, and what is said where it fails
+    linearized    the linear plant that it is for small forces, and forces that give a motion
+    numbers       its numbers as what a refit moves beside the laws
+    tracking      the force that brings it to the record
+    search        numbers first, then laws, then both in the simulator itself
+    conclusions   what is said of it
+
+A law is looked for in a linear plant P that answers as the simulator does to small forces. Its input is not the
+record's: it is what gives the motion of the simulator, and less by the force that the simulator lacks. So its run is
+the record less P times the lacking force, and whatever P is, the law that makes this force along the measured motion
+explains all of it. What is found is put into the simulator as the force of its own motion there.
+"""
+
+from .search import diagnose_simulator
+
+__all__ = ["diagnose_simulator"]

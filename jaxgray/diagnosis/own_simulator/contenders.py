@@ -1,0 +1,98 @@
+"""The law that explains most in the simulator itself, among those that are near it in the linear plant."""
+
+import dataclasses
+
+import numpy as np
+
+from ...numerics.outcomes import ComputationError
+from .. import settings
+from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.gauss_newton import Refit
+from ..estimation.multistart import Attempt
+from ..findings import Reason
+from ..model.candidate import estimated
+from ..model.free_run import FreeRun, rms_of
+from ..noise.effective_samples import independent_share
+from ..search.state import Accepted, SearchState
+from .problem import Linear, Problem
+from .settling import Settled, settle
+
+MOST = 4
+"""Laws that are settled in the simulator in one round."""
+
+BEHIND = (Reason.EXPLAINED_BETTER, Reason.DOMINATED)
+"""Reasons against a law that hold in the linear plant, and may not in the simulator."""
+
+MOST_RIVALS = 3
+"""Laws that a finding shares its class with, at most."""
+
+
+def chosen(problem: Problem, context: SearchContext, state: SearchState, wholes: Linear) -> tuple[Accepted, Settled]:
+    """The last law of a search in the linear plant, or another of its round that explains more in the simulator.
+
+    The linear plant answers to noise and to large forces not quite as the simulator does; settled in the simulator,
+    laws are compared by its own runs.
+
+    **Raises:** `ComputationError` where the simulator runs with none of them.
+    """
+    accepted = state.accepted[-1]
+    settled: dict[tuple[str, str], Settled] = {}
+    failure = None
+    for name, fit in _contenders(state, accepted):
+        context.progress.stage(f"trying {name[0]} at {name[1]} in the simulator")
+        try:
+            settled[name] = settle(problem, context, fit, wholes)
+        except ComputationError as error:
+            failure = error
+    if not settled:
+        raise failure
+    criteria = _criteria(problem, settled)
+    best = min(criteria, key=criteria.__getitem__)
+    first = criteria.get(accepted.attempt.name, criteria[best])
+    known = state.first.best_by_place() | {one.name: one.score for one in (accepted.attempt, *accepted.rivals)}
+
+    def attempt(name: tuple[str, str]) -> Attempt:
+        fit, delta = settled[name].fit, accepted.attempt.delta_bic + first - criteria[name]
+        score = accepted.attempt.score if name not in known else known[name]
+        return Attempt(score, fit, noise_model_of(context, fit), criteria[name], delta_bic=delta)
+
+    near = [name for name in criteria if 0 <= criteria[name] - criteria[best] < settings.CLASS_DELTA_BIC]
+    rivals = sorted((name for name in near if name != best and name in known), key=criteria.__getitem__)
+    made = dataclasses.replace(
+        accepted, attempt=attempt(best), rivals=tuple(attempt(name) for name in rivals[:MOST_RIVALS])
+    )
+    return made, settled[best]
+
+
+def _contenders(state: SearchState, accepted: Accepted) -> list[tuple[tuple[str, str], Refit]]:
+    """Names and refits of laws of the last round: what was accepted, then what leaves least."""
+    own = accepted.attempt
+    refused = {(one.effect, one.location) for one in state.rejected if one.reason not in BEHIND}
+    fits = {rival.name: rival.fit for rival in accepted.rivals}
+    fits |= {name: fit for name, fit in state.tried.items() if name not in refused and name != own.name}
+    count = len(own.fit.candidate.terms)
+    fits = {name: fit for name, fit in fits.items() if len(fit.candidate.terms) == count and _name(fit) == name}
+    ranked = sorted(fits, key=lambda name: float(np.sum(fits[name].residual[0] ** 2)))
+    return [(own.name, own.fit), *((name, fits[name]) for name in ranked[: MOST - 1])]
+
+
+def _name(fit: Refit) -> tuple[str, str]:
+    last = fit.candidate.terms[-1]
+    return last.effect.id, last.place.name
+
+
+def _criteria(problem: Problem, settled: dict[tuple[str, str], Settled]) -> dict[tuple[str, str], float]:
+    """N ln(cost) + k ln N of runs of the simulator, with as many samples as are independent in the best."""
+    runs = {name: _runs(problem, one) for name, one in settled.items()}
+    left = {name: float(np.sum(np.log(rms_of(made) ** 2))) for name, made in runs.items()}
+    best = runs[min(left, key=left.__getitem__)]
+    share = independent_share(max((run.e[run.kept.all(axis=1)] for run in best), key=len))
+    count = share * sum(int(run.kept.all(axis=1).sum()) for run in best)
+    return {
+        name: count * left[name] + len(estimated(one.candidate.terms[-1])) * float(np.log(count))
+        for name, one in settled.items()
+    }
+
+
+def _runs(problem: Problem, settled: Settled) -> list[FreeRun]:
+    return [span.run(y, span.fit) for span, y in zip(problem.spans, settled.y) if span.fit is not None]

@@ -1,0 +1,102 @@
+"""The numbers of a simulator as what a refit moves, in the place of the entries of M, D, K.
+
+Entry i is number i in units of its size, 1 as it was given. Along one motion a number that is larger takes more force:
+by so much, to first order, the forces follow the numbers. These forces stand behind the inputs of the data: u, then
+the forces at the coordinates, then their change number by number.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..model import simulator as free_run
+from ..model.candidate import Candidate, Data, Setup, of_record
+
+STEP = 1e-3
+"""Step of an entry for its derivative: next to no curvature, far above rounding."""
+
+
+class FixedMatrices(eqx.Module):
+    """M, D, K that nothing moves."""
+
+    mass: Float[Array, "dofs dofs"]
+    damping: Float[Array, "dofs dofs"]
+    stiffness: Float[Array, "dofs dofs"]
+
+    def __call__(self, entries):
+        return self.mass, self.damping, self.stiffness
+
+
+@dataclass(frozen=True)
+class OwnNumbers:
+    """Entries that do not change their sign, in the place of a `Structure`."""
+
+    count: int
+
+    def sizes(self, dofs: int) -> tuple[int, ...]:
+        """One block an entry."""
+        return (1,) * self.count
+
+    def floors(self, dofs: int) -> Float[np.ndarray, " numbers"]:
+        """The least value of every entry."""
+        return np.zeros(self.count)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NumbersSetup(Setup):
+    """What stays as it is while laws are tried in a linear plant: its matrices, and where the numbers are (`here`) at
+    which the slopes were taken."""
+
+    plant: FixedMatrices
+    here: Float[np.ndarray, " numbers"]
+
+    @property
+    def matrices(self) -> FixedMatrices:
+        """M, D, K whatever the numbers."""
+        return self.plant
+
+    def entries_of(self, mass, damping, stiffness):
+        """The numbers as they are: no other matrices say anything of them."""
+        return np.array(self.here)
+
+
+class NumbersSimulator(free_run.Simulator):
+    """Free runs of the linear plant with laws, under the forces that the numbers leave."""
+
+    setup: NumbersSetup
+
+    def run(self, candidate: Candidate, data: Data, record: int = 0):
+        return super().run(candidate, self._moved(candidate.entries, data), record)
+
+    def motion(self, candidate: Candidate, data: Data, record: int = 0):
+        return super().motion(candidate, self._moved(candidate.entries, data), record)
+
+    def _run_and_jacobian(self, candidate: Candidate, data: Data, record: int):
+        if not all(of_record(candidate, record)):
+            # Made of what acts alone, by this very function.
+            return super()._run_and_jacobian(candidate, data, record)
+        y, J = super()._run_and_jacobian(candidate, self._moved(candidate.entries, data), record)
+        J = np.array(J)
+        for k, step in enumerate(STEP * np.eye(len(candidate.entries))):
+            there = super().run(candidate, self._moved(candidate.entries + step, data), record)
+            J[:, :, k] = (there - y) / STEP
+        return y, J
+
+    def forces(self, candidate: Candidate, data: Data) -> Float[np.ndarray, "samples dofs"]:
+        """Forces at the coordinates that the numbers of a candidate leave."""
+        dofs, count = self.setup.dofs, len(self.setup.here)
+        first = data.u.shape[1] - (count + 1) * dofs
+        return self._moved(candidate.entries, data).u[:, first : first + dofs]
+
+    def _moved(self, entries: Float[np.ndarray, " numbers"], data: Data) -> Data:
+        """The data with the forces that numbers leave."""
+        dofs, count = self.setup.dofs, len(self.setup.here)
+        first = data.u.shape[1] - (count + 1) * dofs
+        forces, by_number = np.split(data.u[:, first:], [dofs], axis=1)
+        change = by_number.reshape(len(data.u), count, dofs)
+        forces = forces - np.tensordot(change, np.asarray(entries) - self.setup.here, (1, 0))
+        u = np.concatenate([data.u[:, :first], forces, by_number], axis=1)
+        return dataclasses.replace(data, u=u)

@@ -1,0 +1,238 @@
+"""Records and a simulator together: runs of all records, slopes by the numbers, and data for the linear plant."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...mechanics.drives import Force
+from ...mechanics.effects.base import AbstractForceEffect, AbstractOutputEffect, Term
+from ...mechanics.extended import changed_input, held_input, sensed
+from ...mechanics.model import MechanicalModel
+from ...records import Record
+from ..model.candidate import Candidate, Data
+from ..model.free_run import FreeRun
+from .calls import Call, Failure, Simulator
+from .linearized import Linearized
+from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers
+from .tracking import as_linear, forces_by_number
+
+STEP = 1e-3
+"""Step of a number for its slope, in units of it."""
+
+SEEN = 1e-4
+"""Answer to the step of a number that was given as 0, relative to the motion."""
+
+SIZES = 10.0 ** np.arange(-6, 7)
+"""Sizes that a number given as 0 may have."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """A whole record, which the simulator runs from its start, with the samples of the fit and those held out."""
+
+    record: Record
+    fit: slice | None
+    held: slice | None
+
+    def run(self, y: Float[np.ndarray, "samples outputs"], part: slice) -> FreeRun:
+        """A run of the whole record as one of a part of it."""
+        measured, simulated = self.record.y[part], y[part]
+        kept = np.isfinite(measured)
+        return FreeRun(simulated, np.where(kept, measured - simulated, 0.0), kept)
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Runs of all spans: their `calls` and outputs `y`, and by how much more force every number takes."""
+
+    calls: tuple[Call, ...]
+    y: tuple[np.ndarray, ...]
+    by_number: tuple[np.ndarray, ...] = ()
+
+
+@dataclass
+class Problem:
+    """What a diagnosis works on: `simulator`, `spans`, `units` of the numbers (values of entry 1), and, once they are
+    known, the linear `plant` and `laws`: force laws of the catalogue."""
+
+    simulator: Simulator
+    spans: tuple[Span, ...]
+    units: Float[np.ndarray, " numbers"]
+    laws: tuple[AbstractForceEffect, ...]
+    plant: Linearized | None = None
+
+    @property
+    def record(self) -> Record:
+        """The first record."""
+        return self.spans[0].record
+
+    def runs(self, calls: list[Call]) -> Runs:
+        """Runs of all spans.
+
+        **Raises:** `ComputationError` where one fails.
+        """
+        return Runs(tuple(calls), tuple(self.simulator.run(call) for call in calls))
+
+    def tried(self, calls: list[Call]) -> Runs | None:
+        """Runs of all spans, None where one fails."""
+        made = self.simulator.runs(calls)
+        return None if any(isinstance(y, Failure) for y in made) else Runs(tuple(calls), tuple(made))
+
+    def called(self, entries: Float[np.ndarray, " numbers"], like: Runs | None = None) -> list[Call]:
+        """Calls with these numbers, with the inputs and forces of other runs, by default the records' and none."""
+        if like is not None:
+            return [dataclasses.replace(call, numbers=entries * self.units) for call in like.calls]
+        none = [np.zeros((span.record.samples, span.record.outputs)) for span in self.spans]
+        return [Call(span.record.u, w, entries * self.units) for span, w in zip(self.spans, none)]
+
+    def slopes(self, runs: Runs, entries: Float[np.ndarray, " numbers"]) -> list[np.ndarray]:
+        """Slopes of the outputs of runs by the entries, by finite differences."""
+        calls = []
+        for step in STEP * np.eye(len(entries)):
+            calls += self.called(entries + step, runs)
+        made = self.simulator.runs(calls)
+        for y, call in zip(made, calls):
+            if isinstance(y, Failure):
+                self.simulator.run(call)
+        result = []
+        for k, y in enumerate(runs.y):
+            columns = [(made[j * len(self.spans) + k] - y) / STEP for j in range(len(entries))]
+            result.append(np.stack(columns, axis=2) if columns else np.zeros((*y.shape, 0)))
+        return result
+
+    def with_forces(self, runs: Runs) -> Runs:
+        """Runs with the forces that the numbers take along their motion."""
+        known = {"simulator": self.simulator, "plant": self.plant, "units": self.units}
+        forces = [
+            forces_by_number(record=span.record, call=call, y=y, **known)
+            for span, call, y in zip(self.spans, runs.calls, runs.y)
+        ]
+        return dataclasses.replace(runs, by_number=tuple(forces))
+
+    def with_slopes(self, runs: Runs, entries: Float[np.ndarray, " numbers"]) -> Runs:
+        """Runs with the forces by which the linear plant follows the numbers as the simulator itself does."""
+        forces = []
+        for span, S in zip(self.spans, self.slopes(runs, entries)):
+            columns = [-self.plant.forces_of(S[:, :, k], span.record)[0] for k in range(S.shape[2])]
+            forces.append(np.stack(columns, axis=2) if columns else S)
+        return dataclasses.replace(runs, by_number=tuple(forces))
+
+    def linear_simulator(self, entries: Float[np.ndarray, " numbers"], substeps: int) -> NumbersSimulator:
+        """The linear plant, with some entries as they are in the runs that it is about."""
+        record, plant, count = self.record, self.plant, len(entries)
+        E = np.concatenate(
+            [plant.input_map, np.eye(record.outputs), np.zeros((record.outputs, count * record.outputs))], 1
+        )
+        setup = NumbersSetup(
+            drive=Force(E),
+            measured=record.measured,
+            scaling=None,
+            structure=OwnNumbers(count),
+            held=np.zeros(count, bool),
+            input_names=record.input_names,
+            output_names=record.output_names,
+            plant=FixedMatrices(plant.mass, plant.damping, plant.stiffness),
+            here=np.array(entries, float),
+        )
+        return NumbersSimulator(setup, self.laws, substeps=substeps)
+
+    def linear_model(self, terms: tuple[Term, ...] = ()) -> MechanicalModel:
+        """The linear plant as a model with the names of the record, and laws."""
+        plant, record = self.plant, self.record
+        return MechanicalModel(
+            plant.mass,
+            plant.damping,
+            plant.stiffness,
+            drive=Force(plant.input_map),
+            measured=record.measured,
+            input_names=record.input_names,
+            output_names=record.output_names,
+            input_units=record.input_units,
+            output_units=record.output_units,
+            effects=terms,
+        )
+
+    def linear_data(self, runs: Runs) -> "Linear":
+        """Records for the linear plant about some runs."""
+        made = [
+            as_linear(span.record, self.plant, call, y, S)
+            for span, call, y, S in zip(self.spans, runs.calls, runs.y, runs.by_number)
+        ]
+        records, states = (tuple(x) for x in zip(*made))
+        return Linear(records, states, tuple(Data.of(record) for record in records), runs.by_number)
+
+    def about(
+        self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear", runs: Runs
+    ) -> tuple[NumbersSimulator, "Linear"]:
+        """The linear plant, and its records, about runs with the numbers of a candidate; runs without forces by number
+        have those of the records before."""
+        if not runs.by_number:
+            runs = dataclasses.replace(runs, by_number=wholes.by_number)
+        return self.linear_simulator(candidate.entries, linear.substeps), self.linear_data(runs)
+
+    def fit_data(self, wholes: "Linear") -> list[Data]:
+        """The parts of records for the linear plant that the fit sees."""
+        return [Data.of(r[span.fit]) for r, span in zip(wholes.records, self.spans) if span.fit is not None]
+
+    def with_laws(self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear") -> list[Call]:
+        """Calls with the laws of a candidate: the changed inputs, and the forces that the laws make along the motion of
+        the linear plant."""
+        candidate, calls = wholes.extended(candidate), []
+        for k, (span, data) in enumerate(zip(self.spans, wholes.data)):
+            n, inputs, dofs = span.record.samples, span.record.inputs, span.record.outputs
+            q = np.nan_to_num(linear.motion(candidate, data, k)[0][:n, :dofs], posinf=0.0, neginf=0.0)
+            start, _, _ = changed_input(candidate.terms, *held_input(data.u, data.hold), data.u, data.sampling_time)
+            u = np.asarray(start)[:n, :inputs]
+            # What the plant was given beside the laws.
+            given = linear.forces(candidate, data)[:n] + u @ self.plant.input_map.T
+            w = self.plant.forces_of(q, span.record)[0] - given
+            calls.append(Call(u, w, np.asarray(candidate.entries) * self.units))
+        return calls
+
+    def seen(
+        self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear", runs: Runs
+    ) -> tuple[np.ndarray, ...]:
+        """What the sensors show of runs with the laws of a candidate, begun from its first states."""
+        candidate, made = wholes.extended(candidate), []
+        begun = dataclasses.replace(candidate, x0=wholes.states)
+        sensors = [term for term in candidate.terms if isinstance(term.effect, AbstractOutputEffect)]
+        for k, (span, data, y) in enumerate(zip(self.spans, wholes.data, runs.y)):
+            moved = linear.motion(candidate, data, k)[0] - linear.motion(begun, data, k)[0]
+            shown = jnp.asarray(y + moved[: len(y), : y.shape[1]])
+            for term in sensors:
+                shown = sensed(term, shown, jnp.asarray(span.record.u), span.record.sampling_time)
+            made.append(np.asarray(shown))
+        return tuple(made)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Whole `records` for the linear plant about some runs, its first `states` there, the records as `data`, and by how
+    much more force every number takes."""
+
+    records: tuple[Record, ...]
+    states: tuple[np.ndarray, ...]
+    data: tuple[Data, ...]
+    by_number: tuple[np.ndarray, ...]
+
+    def extended(self, candidate: Candidate) -> Candidate:
+        """A candidate with first states for all records, those of the fit its own."""
+        return dataclasses.replace(candidate, x0=(*candidate.x0, *self.states[len(candidate.x0) :]))
+
+
+def sized(simulator: Simulator, call: Call, y: np.ndarray) -> np.ndarray:
+    """Units of the numbers: their own sizes; of one that is 0 the size of a step that shows."""
+    units = np.array(call.numbers, float)
+    moved = max(float(np.std(y)), 1e-300)
+    for k in np.flatnonzero(units == 0.0):
+        for size in SIZES:
+            changed = np.array(call.numbers, float)
+            changed[k] = size
+            made = simulator.tried(dataclasses.replace(call, numbers=changed))
+            if made is not None and np.sqrt(np.mean((made - y) ** 2)) >= SEEN * moved:
+                break
+        units[k] = size
+    return units

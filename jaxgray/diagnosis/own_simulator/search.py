@@ -1,0 +1,191 @@
+"""The diagnosis of a user's simulator: numbers first, then laws in its linear plant, then both in the simulator."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import scipy.optimize
+
+from ...mechanics.effects import CATALOGUE
+from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect
+from ...numerics.progress import AbstractProgress
+from ...records import Record
+from ..acceptance import unproven
+from ..estimation.context import SearchContext
+from ..estimation.measured_motion import KnownForce
+from ..findings import Rejected
+from ..model.candidate import Candidate, Data
+from ..model.simulator import steps_of
+from ..noise.floor import independent_floor
+from ..noise.whitening import white_part
+from ..result import Diagnosis
+from ..search.forward import select_forward
+from ..search.state import SearchState
+from .calls import Simulator, checked_numbers
+from .conclusions import diagnosis_of, is_white
+from .contenders import chosen
+from .gains import gain_between
+from .linearized import linearized
+from .problem import Linear, Problem, Runs, Span, sized
+from .settling import Settled, refit_of_numbers, settle
+from .tracking import tracked
+
+FORCES = (*(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect)), KnownForce())
+
+ROUNDS = 3
+"""Gauss-Newton steps for the numbers before laws are looked for."""
+
+SHORTENED = 1.0, 0.3, 0.1
+"""Shares of a step that are tried."""
+
+ENOUGH = 0.999
+"""Share of the sum of squares that a step must leave at most, for another one."""
+
+
+def diagnose_simulator(
+    function: Callable,
+    parameters: Mapping[str, float] | None,
+    spans: list[tuple[Record, slice | None, slice | None]],
+    *,
+    catalogue: tuple[AbstractEffect, ...],
+    max_effects: int,
+    separate: bool,
+    seed: int,
+    workers: int,
+    progress: AbstractProgress,
+) -> Diagnosis:
+    """What a simulator gets wrong: which of its numbers are off, and which laws it lacks.
+
+    **Arguments:** `function`: y = f(u, w, θ), as `calls.Simulation`; `parameters` θ; `spans`: whole records with the
+    samples of the fit and those held out, the fit's first; `catalogue`; `max_effects`; `separate`: whether what is held
+    out has records of its own; `seed`; `workers`: processes; `progress`.
+
+    **Raises:** `ValueError` for arguments that cannot serve; `ComputationError` where the simulator fails.
+    """
+    first = spans[0][0]
+    if any(kind != "displacement" for kind in first.measured):
+        raise ValueError(
+            f"measured={first.measured}; with a simulator give displacements, one for every coordinate in which a "
+            "force can act."
+        )
+    if not callable(function):
+        raise ValueError(f"simulator={function!r}; give a function of inputs, forces and numbers.")
+    if not isinstance(workers, int) or workers < 1:
+        raise ValueError(f"workers={workers!r}; give a whole number, 1 or more.")
+    given = checked_numbers(parameters)
+    simulator = Simulator(function, tuple(given), first.outputs, workers)
+    problem = Problem(simulator, tuple(Span(*one) for one in spans), np.array(list(given.values())), FORCES)
+    rng = np.random.default_rng(seed)
+
+    progress.unlimited.stage("running the simulator")
+    start = np.ones(len(given))
+    baseline = problem.runs(problem.called(start))
+    units = sized(simulator, baseline.calls[0], baseline.y[0])
+    start = np.where(problem.units == 0.0, 0.0, 1.0)
+    problem.units = units
+    progress.unlimited.stage("linearizing the simulator")
+    problem.plant = linearized(simulator, first, baseline.calls[0], baseline.y[0], rng)
+    progress.unlimited.stage("fitting the simulator's numbers")
+    entries, fitted = fit_numbers(problem, start, baseline)
+
+    about = fitted if _explained(problem, fitted) else baseline
+    if about is baseline:
+        # Fitted without a law that is missing, the numbers are further off than they were.
+        entries = start
+    progress.unlimited.stage("looking for the force that it lacks")
+    substeps = steps_of(problem.linear_model(), first.sampling_time)
+    linear = problem.linear_simulator(entries, substeps)
+    followed = [
+        tracked(simulator, linear, problem.plant, span.record, call, y)
+        for span, call, y in zip(problem.spans, about.calls, about.y)
+    ]
+    about = problem.with_forces(Runs(*(tuple(x) for x in zip(*followed))))
+    wholes, begin = problem.linear_data(about), None
+    states: list[SearchState] = []
+    settled: list[Settled] = []
+    while len(settled) <= max_effects:
+        context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
+        begin = Candidate(np.array(entries), wholes.states[: len(context.data)]) if begin is None else begin
+        state = select_forward(context, begin, min(1, max_effects - len(settled)))
+        states.append(state)
+        if not state.accepted:
+            break
+        state.accepted[-1], now = chosen(problem, context, state, wholes)
+        gain = gain_between(problem, context, settled[-1].y if settled else fitted.y, now.y, baseline.y)
+        if (why := unproven(gain)) is not None:
+            # It holds in the linear plant alone.
+            attempt = state.accepted.pop().attempt
+            state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
+            state.unexplained, state.fit = True, None
+            break
+        settled.append(now)
+        linear, wholes, begin = now.linear, now.wholes, now.candidate
+    if not settled:
+        settled.append(settle(problem, context, refit_of_numbers(context, begin), wholes))
+    return diagnosis_of(problem, context, states, settled, baseline=baseline, fitted=fitted, start=start)
+
+
+def fit_numbers(problem: Problem, entries: np.ndarray, runs: Runs) -> tuple[np.ndarray, Runs]:
+    """The numbers that bring the runs nearest to the records, and these runs."""
+    for _ in range(ROUNDS if len(entries) else 0):
+        weight = _weight(problem, runs)
+        e, J = _errors(problem, runs.y, weight), _table(problem, problem.slopes(runs, entries), weight)
+        step = scipy.optimize.lsq_linear(J, e, (-entries, np.full(len(entries), np.inf))).x
+        for share in SHORTENED:
+            trial = problem.tried(problem.called(entries + share * step, runs))
+            left = np.inf if trial is None else float(np.sum(_errors(problem, trial.y, weight) ** 2))
+            if left < float(e @ e):
+                break
+        else:
+            break
+        entries, runs = entries + share * step, trial
+        if left > ENOUGH * float(e @ e):
+            break
+    return entries, runs
+
+
+def _weight(problem: Problem, runs: Runs) -> np.ndarray:
+    """One over the noise of every output, as far as the runs show it."""
+    span = problem.spans[0]
+    run = span.run(runs.y[0], span.fit)
+    noise = np.sqrt(np.maximum(white_part(run.e, run.kept), 0.0))
+    return 1 / np.maximum(noise, 1e-3 * np.maximum(run.rmse, 1e-300))
+
+
+def _explained(problem: Problem, runs: Runs) -> bool:
+    """Whether runs leave no more than white noise of the records of the fit."""
+    return is_white([span.run(y, span.fit) for span, y in zip(problem.spans, runs.y) if span.fit is not None])
+
+
+def _errors(problem: Problem, y: tuple[np.ndarray, ...], weight: np.ndarray | float = 1.0) -> np.ndarray:
+    """Errors of all samples of the fit, weighted."""
+    parts = [(span, span.run(one, span.fit)) for span, one in zip(problem.spans, y) if span.fit is not None]
+    return np.concatenate([(run.e * weight)[run.kept] for _, run in parts])
+
+
+def _table(problem: Problem, slopes: list[np.ndarray], weight: np.ndarray) -> np.ndarray:
+    """Slopes at all samples of the fit, weighted."""
+    parts = [(span, S) for span, S in zip(problem.spans, slopes) if span.fit is not None]
+    return np.concatenate([(S[span.fit] * weight[:, None])[np.isfinite(span.record.y[span.fit])] for span, S in parts])
+
+
+def _context(problem, linear, wholes: Linear, catalogue, separate, rng, progress) -> SearchContext:
+    """What a search in the linear plant about some runs works with."""
+    data, held = problem.fit_data(wholes), []
+    longest = max(len(d.u) for d in data)
+    for span, record in zip(problem.spans, wholes.records):
+        if span.held is not None:
+            held.append(Data.of(record[span.held], longest))
+    record = problem.record
+    usable = tuple(e for e in catalogue if not isinstance(e, AbstractInputEffect) or np.any(problem.plant.input_map))
+    return SearchContext(
+        linear,
+        data,
+        held,
+        usable,
+        (record.input_names, record.output_names),
+        linear.setup.held,
+        independent_floor(record)[0],
+        separate,
+        rng,
+        progress,
+    )

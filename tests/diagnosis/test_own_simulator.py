@@ -1,0 +1,160 @@
+"""A user's own simulator on trial: wrong numbers and a law that it lacks, from data of its own equations with the truth
+in them; and every way in which it can fail."""
+
+import numpy as np
+import pendulum
+import pytest
+import scipy.signal
+
+import jaxgray
+from jaxgray.diagnosis.own_simulator.calls import Call, Simulator, checked_numbers
+from jaxgray.diagnosis.own_simulator.linearized import linearized
+from jaxgray.diagnosis.own_simulator.tracking import forces_by_number
+from jaxgray.numerics.outcomes import ComputationError
+
+H, SAMPLES = 0.01, 1500
+
+
+def measured(law=pendulum.nothing, size=0.0, *, samples=SAMPLES, seed=1, noise=0.003):
+    rng = np.random.default_rng(seed)
+    u = pendulum.torque(samples, rng)
+    q = pendulum.run(u, pendulum.TRUTH, law, size)
+    record = jaxgray.Record(u, q + noise * q.std() * rng.standard_normal(samples), H, input_units=["N m"])
+    return record, pendulum.off(rng)
+
+
+def within(shifts, errors=4.0):
+    return all(abs(s.after - pendulum.TRUTH[s.name]) < errors * s.standard_error for s in shifts)
+
+
+def test_a_law_is_told_from_wrong_numbers():
+    record, numbers = measured(pendulum.cubic, 0.2)
+    laws = ["cubic_stiffness", "quadratic_drag", "input_delay"]
+    found = jaxgray.diagnose(record, simulator=pendulum.simulator, parameters=numbers, only=laws)
+    named = [finding for finding in found.findings if finding.effect != "parameter_error" and finding.stage == "model"]
+    assert [(one.effect, one.location) for one in named] == [("cubic_stiffness", "y1")]
+    size = named[0].parameters["k3"]
+    assert abs(size.value - 0.2) < 4 * size.standard_error < 0.04
+    assert within(found.shifts) and all(s.standard_error < 0.02 * abs(s.after) for s in found.shifts)
+    assert found.gain.percent > 80 and found.gain.held_out and "Your simulator misses" in found.sentence
+    # Runs and fits are the simulator's own.
+    assert np.allclose(found.curves[0].baseline, pendulum.simulator(record.u, 0 * record.u, numbers)[:1050, None])
+    assert "not white" not in str(found) and "nan" not in str(found)
+
+
+def test_wrong_numbers_alone_are_said_to_be_that():
+    # More of a friction that the simulator has is no law that it lacks.
+    record, numbers = measured(pendulum.coulomb, 0.03, seed=2)
+    validation, _ = measured(pendulum.coulomb, 0.03, seed=3)
+    found = jaxgray.diagnose(
+        record, validation=validation, simulator=pendulum.simulator, parameters=numbers, only="coulomb_friction"
+    )
+    assert {finding.effect for finding in found.findings} == {"parameter_error"} and found.verdict == "named"
+    after = {shift.name: shift for shift in found.shifts}["friction"]
+    assert abs(after.after - 0.18) < 4 * after.standard_error
+    assert "friction is 0.1" in found.sentence and "not 0.1545" in found.sentence and found.excess < 1.05
+    assert within([shift for shift in found.shifts if shift.name != "friction"])
+
+
+def two_masses(u, w, numbers):
+    M, D = np.diag([2.0, 1.0]), np.array([[3.0, -1.0], [-1.0, 2.0]])
+    K = np.array([[300.0, -100.0], [-100.0, numbers["k"]]])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
+    B = np.vstack([np.zeros((2, 2)), np.linalg.inv(M)])
+    system = scipy.signal.cont2discrete((A, B, np.eye(2, 4), np.zeros((2, 2))), H)
+    return scipy.signal.dlsim(system, np.column_stack([3.0 * u[:, 0] + w[:, 0], w[:, 1]]))[1]
+
+
+def test_small_forces_show_the_linear_plant():
+    u = pendulum.torque(2000, np.random.default_rng(0), highest=10.0)[:, None]
+    call = Call(u, np.zeros((2000, 2)), np.array([200.0]))
+    simulator = Simulator(two_masses, ("k",), 2)
+    y = simulator.run(call)
+    plant = linearized(simulator, jaxgray.Record(u, y, H), call, y, np.random.default_rng(1))
+    assert np.allclose(plant.mass, np.diag([2.0, 1.0]), atol=0.04)
+    assert np.allclose(plant.stiffness, [[300, -100], [-100, 200]], atol=4)
+    assert np.allclose(plant.input_map, [[3.0], [0.0]], atol=0.06)
+    # Forces that give a motion give it.
+    record = jaxgray.Record(u, y, H)
+    w, x0 = plant.forces_of(y, record)
+    assert np.allclose(plant.response(w, record, x0), y, atol=1e-3 * y.std())
+
+
+def test_a_number_takes_a_force_along_the_motion():
+    rng = np.random.default_rng(4)
+    u = pendulum.torque(SAMPLES, rng)[:, None]
+    call = Call(u, np.zeros((SAMPLES, 1)), np.array(list(pendulum.TRUTH.values())))
+    simulator = Simulator(pendulum.simulator, tuple(pendulum.TRUTH), 1)
+    y = simulator.run(call)
+    record = jaxgray.Record(u, y, H)
+    plant = linearized(simulator, record, call, y, rng)
+    forces = forces_by_number(simulator, plant, record, call, y, call.numbers)[:, 0]
+    v = np.gradient(y[:, 0], H)
+    wanted = np.stack([0.1 * np.gradient(v, H), 0.08 * v, 2.0 * np.sin(y[:, 0]), 0.15 * np.tanh(v / 1e-3)], axis=1)
+    share = np.sum(forces * wanted, axis=0) / np.sum(wanted**2, axis=0)
+    # Friction jumps within a sample, which held forces cannot.
+    assert np.allclose(share, 1.0, atol=[0.02, 0.02, 0.02, 0.08]), share
+
+
+def broken(how):
+    def simulate(u, w, numbers):
+        if how == "raises":
+            raise RuntimeError("solver did not converge")
+        return {"shape": np.zeros(3), "nan": np.full(len(u), np.nan), "still": np.zeros(len(u))}[how]
+
+    return simulate
+
+
+@pytest.mark.parametrize(
+    "how, said",
+    [
+        ("raises", "it raised RuntimeError: solver did not converge"),
+        ("shape", r"outputs of shape \(3, 1\), not \(1500, 1\)"),
+        ("nan", "not finite from sample 0 on"),
+        ("still", "do not answer to the forces w"),
+    ],
+)
+def test_a_simulator_that_fails_is_said_to(how, said):
+    record, numbers = measured()
+    with pytest.raises(ComputationError, match=said) as caught:
+        jaxgray.diagnose(record, simulator=broken(how), parameters=numbers)
+    if how != "still":
+        path = str(caught.value).partition("are in ")[2].partition(". ")[0]
+        with np.load(path) as saved:
+            assert np.array_equal(saved["u"], record.u) and list(saved["names"]) == list(numbers)
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        ({"simulator": 3}, "simulator=3; give a function"),
+        ({"simulator": pendulum.simulator, "parameters": [1.0]}, "give the simulator's numbers by name"),
+        ({"simulator": pendulum.simulator, "parameters": {"inertia": "heavy"}}, "'inertia'.*'heavy'; give a finite"),
+        ({"simulator": pendulum.simulator, "workers": 0}, "workers=0; give a whole number"),
+        ({"simulator": pendulum.simulator, "structure": "chain"}, "structure given with a simulator"),
+        ({"parameters": {"inertia": 1.0}}, "parameters are those of a simulator"),
+    ],
+)
+def test_arguments_that_cannot_serve_are_named(options, said):
+    with pytest.raises(ValueError, match=said):
+        jaxgray.diagnose(measured(samples=300)[0], **options)
+
+
+def test_a_simulator_wants_displacements():
+    record, _ = measured(samples=300)
+    fast = jaxgray.Record(record.u, record.y, H, measured="velocity")
+    with pytest.raises(ValueError, match="give displacements"):
+        jaxgray.diagnose(fast, simulator=pendulum.simulator)
+
+
+def test_numbers_come_by_name():
+    assert checked_numbers({"a": 1, "b": np.float64(2)}) == {"a": 1.0, "b": 2.0} and checked_numbers(None) == {}
+
+
+def test_calls_run_side_by_side():
+    simulator = Simulator(pendulum.simulator, tuple(pendulum.TRUTH), 1, workers=2)
+    u = pendulum.torque(100, np.random.default_rng(0))[:, None]
+    values = np.array(list(pendulum.TRUTH.values()))
+    calls = [Call(u, 0 * u, values), Call(u, 0 * u, 1.1 * values)]
+    one, other = simulator.runs(calls)
+    assert np.array_equal(one[:, 0], pendulum.run(u[:, 0])) and not np.allclose(one, other) and simulator.count == 2
