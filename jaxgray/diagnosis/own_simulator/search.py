@@ -1,15 +1,19 @@
 """The diagnosis of a user's simulator: numbers first, then laws in its linear plant, then both in the simulator."""
 
+import functools
 from collections.abc import Callable, Mapping
 
 import numpy as np
 import scipy.optimize
 
+from ...mechanics.drives import Force
 from ...mechanics.effects import CATALOGUE
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect
+from ...numerics.outcomes import ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from ..acceptance import unproven
+from ..equation_error.without_unmeasured_forces import search_forces
 from ..estimation.context import SearchContext
 from ..estimation.measured_motion import KnownForce
 from ..findings import Rejected
@@ -188,4 +192,28 @@ def _context(problem, linear, wholes: Linear, catalogue, separate, rng, progress
         separate,
         rng,
         progress,
+        forces=_asked_of_forces(problem, wholes, usable, rng, progress),
     )
+
+
+def _asked_of_forces(problem: Problem, wholes: Linear, catalogue, rng, progress):
+    """What gives the search in the force equation of the linear plant, once however often it is called."""
+    dofs = problem.record.outputs
+    laws = tuple(effect for effect in catalogue if isinstance(effect, AbstractForceEffect) and effect.places != "input")
+    fit, held = [], []
+    for span, record in zip(problem.spans, wholes.records):
+        inputs = span.record.inputs
+        forces = record.u[:, inputs : inputs + dofs] + record.u[:, :inputs] @ problem.plant.input_map.T
+        pushed = Record(forces, record.y, record.sampling_time, output_names=record.output_names, hold=record.hold)
+        fit += [] if span.fit is None else [pushed[span.fit]]
+        held += [] if span.held is None else [pushed[span.held]]
+
+    @functools.cache
+    def search():
+        progress.unlimited.stage("looking in the force equation")
+        try:
+            return search_forces(fit, held, Force(np.eye(dofs)), laws, 1, rng=rng, progress=progress)
+        except ComputationError:
+            return None
+
+    return search
