@@ -16,7 +16,7 @@ from ..noise.floor import ADOPTED, independent_floor
 from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..search.state import SearchState
-from .gains import Outputs, Parts, gain_between, parts_of
+from .gains import Outputs, Parts, gain_between, nearer, parts_of
 from .problem import Problem, Runs
 from .settling import Settled, with_numbers
 
@@ -51,7 +51,8 @@ def diagnosis_of(
         return gain_between(problem, context, one, other, baseline.y, floor)
 
     context = dataclasses.replace(context, simulator=settled.linear, data=list(settled.data))
-    steps = [fitted.y, *(one.y for one in every)] if state.accepted else [settled.y]
+    plain = nearer(problem, fitted.y, baseline.y)
+    steps = [plain, *(one.y for one in every)] if state.accepted else [settled.y]
     for k, accepted in enumerate(state.accepted):
         state.accepted[k] = dataclasses.replace(accepted, gain=gain(steps[k], steps[k + 1]))
     whole = gain(baseline.y, settled.y)

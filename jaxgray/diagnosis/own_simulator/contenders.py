@@ -9,7 +9,7 @@ from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit
 from ..estimation.multistart import Attempt
-from ..findings import Reason
+from ..findings import Gain, Reason
 from ..model.candidate import estimated
 from ..model.free_run import FreeRun, rms_of
 from ..noise.effective_samples import independent_share
@@ -20,22 +20,42 @@ from .settling import Settled, settle
 MOST = 4
 """Laws that are settled in the simulator in one round."""
 
-BEHIND = (Reason.EXPLAINED_BETTER, Reason.DOMINATED)
+BEHIND = (Reason.EXPLAINED_BETTER, Reason.DOMINATED, Reason.NO_SURE_GAIN)
 """Reasons against a law that hold in the linear plant, and may not in the simulator."""
 
 MOST_RIVALS = 3
 """Laws that a finding shares its class with, at most."""
 
 
-def chosen(problem: Problem, context: SearchContext, state: SearchState, wholes: Linear) -> tuple[Accepted, Settled]:
-    """The last law of a search in the linear plant, or another of its round that explains more in the simulator.
+def offered(context: SearchContext, state: SearchState) -> Accepted | None:
+    """The law that a search in the linear plant took, or the best of those that it refused for their gain alone, which
+    the simulator has to show; None for none."""
+    if state.accepted:
+        return state.accepted[-1]
+    refused = sorted(
+        (one for one in state.rejected if one.reason is Reason.NO_SURE_GAIN), key=lambda one: -one.delta_bic
+    )
+    scores = state.first.best_by_place()
+    for one in refused:
+        name = one.effect, one.location
+        fit = state.tried.get(name)
+        if fit is None or name not in scores or one.delta_bic < settings.CLEAR_DELTA_BIC or _name(fit) != name:
+            continue
+        attempt = Attempt(scores[name], fit, noise_model_of(context, fit), delta_bic=one.delta_bic)
+        return Accepted(attempt, (), Gain({}, 0.0, (0.0, 0.0), 0.0, False), [])
+    return None
+
+
+def chosen(
+    problem: Problem, context: SearchContext, state: SearchState, accepted: Accepted, wholes: Linear
+) -> tuple[Accepted, Settled]:
+    """A law that a search in the linear plant offers, or another of its round that explains more in the simulator.
 
     The linear plant answers to noise and to large forces not quite as the simulator does; settled in the simulator,
     laws are compared by its own runs.
 
     **Raises:** `ComputationError` where the simulator runs with none of them.
     """
-    accepted = state.accepted[-1]
     settled: dict[tuple[str, str], Settled] = {}
     failure = None
     for name, fit in _contenders(state, accepted):

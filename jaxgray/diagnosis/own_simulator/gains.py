@@ -40,3 +40,13 @@ def gain_between(
     floor = rms_of(every[1][0]) if floor is None else floor
     runs, seen = (tuple(parts[k] for parts in every) for k in (held_out, False))
     return gain_of(*runs, floor, problem.record.output_names, held_out=held_out, rng=context.rng, seen=seen)
+
+
+def nearer(problem: Problem, one: Outputs, other: Outputs) -> Outputs:
+    """The runs that leave less of held-out data, or of those of the fit where there are no others."""
+
+    def left(y: Outputs) -> float:
+        fit, held = parts_of(problem, y)
+        return float(np.sum(np.log(rms_of(held or fit))))
+
+    return one if left(one) <= left(other) else other

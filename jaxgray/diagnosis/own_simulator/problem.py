@@ -28,6 +28,9 @@ SEEN = 1e-4
 SIZES = 10.0 ** np.arange(-6, 7)
 """Sizes that a number given as 0 may have."""
 
+RUN_AWAY = 1e3
+"""Motion relative to that of the record beyond which a run counts as none."""
+
 
 @dataclass(frozen=True)
 class Span:
@@ -77,9 +80,12 @@ class Problem:
         return Runs(tuple(calls), tuple(self.simulator.run(call) for call in calls))
 
     def tried(self, calls: list[Call]) -> Runs | None:
-        """Runs of all spans, None where one fails."""
+        """Runs of all spans, None where one fails or runs away."""
         made = self.simulator.runs(calls)
-        return None if any(isinstance(y, Failure) for y in made) else Runs(tuple(calls), tuple(made))
+        if any(isinstance(y, Failure) for y in made):
+            return None
+        far = [np.max(np.abs(y)) > RUN_AWAY * np.nanmax(np.abs(span.record.y)) for span, y in zip(self.spans, made)]
+        return None if any(far) else Runs(tuple(calls), tuple(made))
 
     def called(self, entries: Float[np.ndarray, " numbers"], like: Runs | None = None) -> list[Call]:
         """Calls with these numbers, with the inputs and forces of other runs, by default the records' and none."""

@@ -17,7 +17,7 @@ from ..equation_error.without_unmeasured_forces import search_forces
 from ..estimation.context import SearchContext
 from ..estimation.measured_motion import KnownForce
 from ..findings import Rejected
-from ..model.candidate import Candidate, Data
+from ..model.candidate import Candidate
 from ..model.simulator import steps_of
 from ..noise.floor import independent_floor
 from ..noise.whitening import white_part
@@ -26,8 +26,8 @@ from ..search.forward import select_forward
 from ..search.state import SearchState
 from .calls import Simulator, checked_numbers
 from .conclusions import diagnosis_of, is_white
-from .contenders import chosen
-from .gains import gain_between
+from .contenders import chosen, offered
+from .gains import gain_between, nearer
 from .linearized import linearized
 from .problem import Linear, Problem, Runs, Span, sized
 from .settling import Settled, refit_of_numbers, settle
@@ -111,16 +111,20 @@ def diagnose_simulator(
         begin = Candidate(np.array(entries), wholes.states[: len(context.data)]) if begin is None else begin
         state = select_forward(context, begin, min(1, max_effects - len(settled)))
         states.append(state)
-        if not state.accepted:
+        law = offered(context, state) if len(settled) < max_effects else None
+        if law is None:
             break
-        state.accepted[-1], now = chosen(problem, context, state, wholes)
-        gain = gain_between(problem, context, settled[-1].y if settled else fitted.y, now.y, baseline.y)
+        law, now = chosen(problem, context, state, law, wholes)
+        before = settled[-1].y if settled else nearer(problem, fitted.y, baseline.y)
+        gain = gain_between(problem, context, before, now.y, baseline.y)
         if (why := unproven(gain)) is not None:
             # It holds in the linear plant alone.
-            attempt = state.accepted.pop().attempt
-            state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
-            state.unexplained, state.fit = True, None
+            state.rejected.append(Rejected.of(law.attempt.name, law.attempt.delta_bic, why, gain))
+            state.accepted, state.unexplained, state.fit = [], True, None
             break
+        state.accepted = [law]
+        taken = {law.attempt.name, *(rival.name for rival in law.rivals)}
+        state.rejected = [one for one in state.rejected if (one.effect, one.location) not in taken]
         settled.append(now)
         linear, wholes, begin = now.linear, now.wholes, now.candidate
     if not settled:
@@ -174,17 +178,14 @@ def _table(problem: Problem, slopes: list[np.ndarray], weight: np.ndarray) -> np
 
 def _context(problem, linear, wholes: Linear, catalogue, separate, rng, progress) -> SearchContext:
     """What a search in the linear plant about some runs works with."""
-    data, held = problem.fit_data(wholes), []
-    longest = max(len(d.u) for d in data)
-    for span, record in zip(problem.spans, wholes.records):
-        if span.held is not None:
-            held.append(Data.of(record[span.held], longest))
+    # Whether a law gains on held-out data is asked of the simulator, where the linear plant answers as it does or not.
+    data = problem.fit_data(wholes)
     record = problem.record
     usable = tuple(e for e in catalogue if not isinstance(e, AbstractInputEffect) or np.any(problem.plant.input_map))
     return SearchContext(
         linear,
         data,
-        held,
+        [],
         usable,
         (record.input_names, record.output_names),
         linear.setup.held,
