@@ -238,7 +238,7 @@ def _sections(diagnosis: Diagnosis, document: dict):
     )
     yield Section(
         "shift",
-        "What it does to mass, damping and stiffness",
+        f"What it does to {'mass, damping and stiffness' if diagnosis.beside is None else 'your numbers'}",
         "Parameters of the model without and with what was found: a linear model hides what it lacks in its numbers.",
         tuple(_models(document)),
     )

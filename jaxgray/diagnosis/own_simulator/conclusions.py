@@ -58,13 +58,10 @@ def diagnosis_of(
     whole = gain(baseline.y, settled.y)
     state.fit = settled.fit
     laws = list(findings_of(context, state, records[0])) if state.accepted else []
-    numbers = _numbers(
-        problem,
-        settled,
-        start,
-        gain(with_numbers(problem, settled, start), settled.y),
-        sum(map(len, records)),
-    )
+    # In shares of what the laws leave with the numbers as they were.
+    as_given = with_numbers(problem, settled, start)
+    mended = gain_between(problem, context, as_given, settled.y, as_given, floor)
+    numbers = _numbers(problem, settled, start, mended, sum(map(len, records)))
     findings = numbers + laws
     left = overall(rms_of(after[0]), floor)
     lost = state.accepted and overall(rms_of(after[0]), rms_of(_linear_runs(context, state))) >= settings.MIN_EXCESS
@@ -80,8 +77,7 @@ def diagnosis_of(
     model = problem.linear_model()
     extended = None
     if numbers or laws:
-        mended = problem.linear_model(settled.candidate.terms)
-        extended = summary_of(mended, None, after[0][0], after[1], records, held)
+        extended = summary_of(problem.linear_model(settled.candidate.terms), None, after[0][0], after[1], records, held)
     noise = () if unexplained else noise_findings(records[0], after[0][0].e)
     warnings = ()
     if not settled.still:
