@@ -3,8 +3,12 @@
     calls         the simulator as it is called, side by side, and what is said where it fails
     linearized    the linear plant that it is for small forces, and forces that give a motion
     numbers       its numbers as what a refit moves beside the laws
-    tracking      the force that brings it to the record
+    tracking      the force that brings it to the record, and the force that every number takes
+    problem       records and simulator together: runs, slopes, data for the linear plant
     search        numbers first, then laws, then both in the simulator itself
+    settling      laws and numbers where they stand still in the simulator
+    contenders    the law that explains most there
+    gains         what one run of it gains over another
     conclusions   what is said of it
 
 A law is looked for in a linear plant P that answers as the simulator does to small forces. Its input is not the

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from ...mechanics.drives import Force
 from ...mechanics.extended import Plant, held_input
+from ...mechanics.statespace import hold_matrices
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
 from ..equation_error.band import band_of
@@ -126,8 +127,7 @@ def _derivatives(q: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ahead(plant: Plant, data: Data):
-    from ...mechanics.statespace import hold_matrices
-
+    """B_1 of the sampled plant: what the first input adds to its state under a linear hold."""
     continuous = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, data.sampling_time)
     return hold_matrices(continuous.A, continuous.B, 1.0, data.hold)[2]
 

@@ -13,7 +13,7 @@ from ..model.parameter_vector import Layout
 from ..noise.whitening import white_noise_model
 from ..screening.linearization import sampled_plant
 from .numbers import NumbersSimulator
-from .problem import Linear, Problem, Runs
+from .problem import Linear, Problem
 
 SETTLING = 8
 """Runs at most until laws and numbers stand still in the simulator."""
@@ -28,13 +28,12 @@ STILL = 0.25
 @dataclass(frozen=True)
 class Settled:
     """Laws and numbers in the simulator: `candidate`, its `fit` in the `linear` plant about the last runs, records
-    for it (`runs`, `wholes`, and of the fit `data`), what the sensors show of the runs (`y`), and whether laws and
+    for it (`wholes`, and of the fit `data`), what the sensors show of the runs (`y`), and whether laws and
     numbers stood still."""
 
     candidate: Candidate
     fit: Refit
     linear: NumbersSimulator
-    runs: Runs
     wholes: Linear
     data: tuple[Data, ...]
     y: tuple[np.ndarray, ...]
@@ -75,7 +74,7 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear)
         noise_model = noise_model_of(dataclasses.replace(context, simulator=linear, data=data), again)
         y = problem.seen(linear, candidate, wholes, runs)
         candidate = again.candidate
-        best = Settled(candidate, again, linear, runs, wholes, tuple(data), y, still)
+        best = Settled(candidate, again, linear, wholes, tuple(data), y, still)
         if still:
             break
     if best is None:
