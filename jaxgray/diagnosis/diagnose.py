@@ -121,7 +121,7 @@ def diagnose(
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
     searched = chosen_effects(catalogue, only, exclude)
     if simulator is not None:
-        return _of_simulator(
+        found = _of_simulator(
             simulator,
             parameters,
             workers,
@@ -135,6 +135,7 @@ def diagnose(
             progress,
             options,
         )
+        return _ended(found, progress, budget)
     if parameters is not None:
         raise ValueError("parameters are those of a simulator; give simulator=, a function of inputs, forces, numbers.")
     records = [record] if isinstance(record, Record) else list(record)
@@ -158,10 +159,16 @@ def diagnose(
     cleaned = [*used, *found.records]
     messages = [{finding.message for one in group for finding in preflight(one)} for group in (records, cleaned)]
     warnings = tuple(text for text in found.warnings if text in messages[0] or text not in messages[1])
-    if progress.ended is not None:
-        words = f"The search ended after its budget of {budget:g} s, before {progress.ended}: not everything was tried."
-        warnings = (words, *warnings)
-    return dataclasses.replace(found, findings=merged(record_findings(records[0]) + found.findings), warnings=warnings)
+    found = dataclasses.replace(found, findings=merged(record_findings(records[0]) + found.findings), warnings=warnings)
+    return _ended(found, progress, budget)
+
+
+def _ended(found: Diagnosis, progress: Budgeted, budget: float | None) -> Diagnosis:
+    """A diagnosis that says where its budget of time ended the search."""
+    if progress.ended is None:
+        return found
+    words = f"The search ended after its budget of {budget:g} s, before {progress.ended}: not everything was tried."
+    return dataclasses.replace(found, warnings=(words, *found.warnings))
 
 
 def _of_clean_records(

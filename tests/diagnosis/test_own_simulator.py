@@ -56,6 +56,14 @@ def test_wrong_numbers_alone_are_said_to_be_that():
     assert within([shift for shift in found.shifts if shift.name != "friction"])
 
 
+def test_a_budget_ends_the_search_and_is_said():
+    record, numbers = measured(pendulum.cubic, 0.2)
+    found = jaxgray.diagnose(
+        record, simulator=pendulum.simulator, parameters=numbers, only="cubic_stiffness", budget=1e-3
+    )
+    assert any("ended after its budget of 0.001 s" in text for text in found.warnings)
+
+
 def two_masses(u, w, numbers):
     M, D = np.diag([2.0, 1.0]), np.array([[3.0, -1.0], [-1.0, 2.0]])
     K = np.array([[300.0, -100.0], [-100.0, numbers["k"]]])

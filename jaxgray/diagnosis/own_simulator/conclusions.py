@@ -59,7 +59,7 @@ def diagnosis_of(
     state.fit = settled.fit
     laws = list(findings_of(context, state, records[0])) if state.accepted else []
     # In shares of what the laws leave with the numbers as they were.
-    as_given = with_numbers(problem, settled, start)
+    as_given = with_numbers(problem, settled, start) or baseline.y
     mended = gain_between(problem, context, as_given, settled.y, as_given, floor)
     numbers = _numbers(problem, settled, start, mended, sum(map(len, records)))
     findings = numbers + laws

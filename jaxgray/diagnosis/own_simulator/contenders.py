@@ -59,7 +59,7 @@ def chosen(
     settled: dict[tuple[str, str], Settled] = {}
     failure = None
     for name, fit in _contenders(state, accepted):
-        context.progress.stage(f"trying {name[0]} at {name[1]} in the simulator")
+        context.progress.unlimited.stage(f"trying {name[0]} at {name[1]} in the simulator")
         try:
             settled[name] = settle(problem, context, fit, wholes)
         except ComputationError as error:

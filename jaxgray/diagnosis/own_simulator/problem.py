@@ -79,8 +79,10 @@ class Problem:
         """
         return Runs(tuple(calls), tuple(self.simulator.run(call) for call in calls))
 
-    def tried(self, calls: list[Call]) -> Runs | None:
-        """Runs of all spans, None where one fails or runs away."""
+    def tried(self, calls: list[Call] | None) -> Runs | None:
+        """Runs of all spans, None where there are no calls, or one fails or runs away."""
+        if calls is None:
+            return None
         made = self.simulator.runs(calls)
         if any(isinstance(y, Failure) for y in made):
             return None
@@ -183,13 +185,15 @@ class Problem:
         """The parts of records for the linear plant that the fit sees."""
         return [Data.of(r[span.fit]) for r, span in zip(wholes.records, self.spans) if span.fit is not None]
 
-    def with_laws(self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear") -> list[Call]:
+    def with_laws(self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear") -> list[Call] | None:
         """Calls with the laws of a candidate: the changed inputs, and the forces that the laws make along the motion of
-        the linear plant."""
+        the linear plant; None where that runs away."""
         candidate, calls = wholes.extended(candidate), []
         for k, (span, data) in enumerate(zip(self.spans, wholes.data)):
             n, inputs, dofs = span.record.samples, span.record.inputs, span.record.outputs
-            q = np.nan_to_num(linear.motion(candidate, data, k)[0][:n, :dofs], posinf=0.0, neginf=0.0)
+            q = linear.motion(candidate, data, k)[0][:n, :dofs]
+            if not np.max(np.abs(q)) <= RUN_AWAY * np.nanmax(np.abs(span.record.y)):
+                return None
             start, _, _ = changed_input(candidate.terms, *held_input(data.u, data.hold), data.u, data.sampling_time)
             u = np.asarray(start)[:n, :inputs]
             # What the plant was given beside the laws.

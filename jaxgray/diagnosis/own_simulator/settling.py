@@ -84,11 +84,14 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear)
     return best
 
 
-def with_numbers(problem: Problem, settled: Settled, entries: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the sensors show of the simulator with other numbers beside the laws that were found."""
+def with_numbers(problem: Problem, settled: Settled, entries: np.ndarray) -> tuple[np.ndarray, ...] | None:
+    """What the sensors show of the simulator with other numbers beside the laws that were found; None where it does not
+    run with them."""
     linear, wholes, candidate = settled.linear, settled.wholes, settled.candidate.with_entries(entries)
     for _ in range(CLOSED if candidate.terms else 1):
-        runs = problem.runs(problem.with_laws(linear, candidate, wholes))
+        runs = problem.tried(problem.with_laws(linear, candidate, wholes))
+        if runs is None:
+            return None
         linear, wholes = problem.about(linear, candidate, wholes, runs)
     return problem.seen(linear, candidate, wholes, runs)
 

@@ -131,17 +131,22 @@ def forces_by_number(
     """
     steps = NUMBER * np.diag(units)
     followers = [Follower(plant, record) for _ in units]
-    forces, known = [call.w] * len(units), [False] * len(units)
+    forces, nearest, left = [call.w] * len(units), [call.w] * len(units), [np.inf] * len(units)
     for _ in range(NUMBER_ROUNDS if len(units) else 0):
         calls = [Call(call.u, w, call.numbers + step) for w, step in zip(forces, steps)]
         for k, (one, there) in enumerate(zip(calls, simulator.runs(calls))):
             if isinstance(there, Failure):
-                if not known[k]:
+                if left[k] == np.inf:
                     simulator.run(one)
+                forces[k] = nearest[k]
                 continue
             error = y - there
-            known[k] = True
-            forces[k] = followers[k].next(one.w, error, y)
+            size = float(np.max(np.abs(error)))
+            if size < left[k]:
+                nearest[k], left[k], forces[k] = one.w, size, followers[k].next(one.w, error, y)
+            else:
+                # No nearer, or run away: not gone on from.
+                forces[k] = nearest[k]
     # The last forces were not tried.
     found = [(w - call.w) / NUMBER for w in forces]
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
@@ -150,4 +155,6 @@ def forces_by_number(
 def _size(record: Record, y: np.ndarray) -> float:
     """Root mean square error of a run, every output in units of its own motion."""
     e = np.where(np.isfinite(record.y), record.y - y, 0.0)
-    return float(np.sqrt(np.mean((e / np.maximum(np.nanstd(record.y, axis=0), 1e-300)) ** 2)))
+    with np.errstate(over="ignore"):
+        # A run that runs away is infinitely far.
+        return float(np.sqrt(np.mean((e / np.maximum(np.nanstd(record.y, axis=0), 1e-300)) ** 2)))
