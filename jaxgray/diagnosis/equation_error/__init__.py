@@ -1,6 +1,7 @@
 """The force equation E u = M q̈ + D q̇ + K q + Σ b φ, by regression on filtered signals.
 
 band                        where motion stands above its noise, and motion by integrating accelerations
+integrated_band             that band for integrated motion, by how well it explains itself
 rows                        filtered signals of a record, and the forces of laws on them
 regression                  M, D, K and the laws by least squares
 library                     every law, place and shape, and its score

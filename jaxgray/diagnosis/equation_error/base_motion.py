@@ -16,7 +16,7 @@ from ...mechanics.drives import BaseAcceleration, Force
 from ...mechanics.extended import held_input
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
-from .band import band_of
+from .integrated_band import ROWS_PER_COEFFICIENT, integrated_band, motion_and_lines, weights_of
 from .rows import Series, around_samples, series_of
 
 MAX_MASS_RATIO = 10.0
@@ -24,13 +24,6 @@ MAX_MASS_RATIO = 10.0
 
 MAX_ASYMMETRY = 0.3
 """Largest accepted ‖K − Kᵀ‖/‖K‖ of K = M (M⁻¹K)."""
-
-ROWS_PER_COEFFICIENT = 3
-"""Rows of the regression for every coefficient, at least."""
-
-KNEES = (0.4, 0.6, 0.75, 0.85, 0.93, 0.98)
-"""Quantiles of a displacement from which straight lines begin that stand in for laws; its size and the sign of its
-velocity do so as well."""
 
 
 def as_forces(
@@ -46,7 +39,7 @@ def as_forces(
     """
     r = np.asarray(drive.direction, float)
     records = [_relative(one, drive, r) for one in records]
-    band = band_of(records)
+    band = integrated_band(records)
     mass = np.diag(_masses([series_of(one, band) for one in records], r))
     return records, Force(-mass @ r), mass
 
@@ -64,21 +57,10 @@ def _masses(series: list[Series], r: Float[np.ndarray, "dofs inputs"]) -> Float[
     dofs = len(r)
     if dofs == 1:
         return np.ones(1)
-    arms = [*np.eye(dofs), *(np.eye(dofs)[i] - np.eye(dofs)[j] for i, j in itertools.combinations(range(dofs), 2))]
-    arms = np.stack(arms, axis=1)
-    knees = np.quantile(np.abs(np.concatenate([one.q @ arms for one in series])), KNEES, axis=0)
-    tables, targets = [], []
-    for one in series:
-        x = one.q @ arms
-        laws = [np.sign(x) * np.maximum(np.abs(x) - knee, 0.0) for knee in knees]
-        laws += [np.abs(x), np.sign(one.v @ arms)]
-        tables.append(np.concatenate([one.q[one.rows], one.v[one.rows], one.row_values(np.hstack(laws))], axis=1))
-        targets.append(one.a[one.rows] + one.input_rows @ r.T)
-    table = np.concatenate(tables)
+    table = motion_and_lines(series)
     if len(table) < ROWS_PER_COEFFICIENT * table.shape[1]:
         raise ComputationError(RESULTS.too_short, stage="force equation", detail=f"{len(table)} rows of motion")
-    size = np.maximum(np.linalg.norm(table, axis=0), np.finfo(float).tiny)
-    found = np.linalg.lstsq(table / size, np.concatenate(targets), rcond=1e-12)[0] / size[:, None]
+    found = weights_of(table, np.concatenate([one.a[one.rows] + one.input_rows @ r.T for one in series]))
     A = -found[:dofs].T
     # Along a spanning tree of the strongest couplings: a weak one does not determine a ratio.
     strength = A * A.T / np.maximum(np.abs(np.outer(np.diag(A), np.diag(A))), np.finfo(float).tiny)

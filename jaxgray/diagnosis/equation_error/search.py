@@ -23,7 +23,7 @@ from .. import settings
 from ..acceptance import bound_of, unsound
 from ..findings import Reason, Refusal, Rejected
 from ..selection import AbstractSelection, AbstractTrial
-from .band import band_of
+from .integrated_band import integrated_band
 from .library import Library, Scores, score
 from .regression import Equation, ForceFit
 from .rows import series_of
@@ -247,7 +247,7 @@ def _empty(records, drive, catalogue, mass, left_out, rng, progress) -> Search:
     """The search before anything is added."""
     progress.unlimited.stage("setting up the force equation")
     E = np.asarray(drive.input_map)
-    band = band_of(records)
+    band = integrated_band(records)
     series = [series_of(r, band, left_out=mask) for r, mask in zip(records, left_out)]
     entries, rows = len(E) * (len(E) + 1) // 2, min(len(s.rows) for s in series)
     if rows < 4 * entries + 8:

@@ -68,20 +68,25 @@ def attempts_of(
     best = min((_criterion_under(context, *one, noise_model) for one in known.values()), default=np.inf)
     names = {_name(scores[0]) for scores in listed}
     left = {_name(scores[0]): scores for scores in listed if names & set(_simpler(scores))}
-    fits = _outright(
-        context, stage, [scores for scores in listed if _name(scores[0]) not in left], noise_model, rejected, best
-    )
+    plain = [scores for scores in listed if _name(scores[0]) not in left]
+    fits, unlike = _outright(context, stage, plain, noise_model, rejected, best)
+    simple = {_name(scores[0]): scores[0] for scores in plain}
+    fits |= _from_wider(context, simple, fits, unlike, noise_model)
     bases: dict[tuple[str, str], _Base] = {}
     while left:
         # Beside one another, but for laws that go on from one of the others.
         now = {name: scores for name, scores in left.items() if not left.keys() & set(_simpler(scores))} or left
-        left = {name: scores for name, scores in left.items() if name not in now}
         base_of = {name: next((one for one in _simpler(scores) if one in fits), None) for name, scores in now.items()}
-        for base in set(base_of.values()) - {None, *bases}:
+        if None in base_of.values():
+            name = next(name for name, base in base_of.items() if base is None)
+            found, unlike = _outright(context, stage, [left.pop(name)], noise_model, rejected, best)
+            fits |= found
+            fits |= _from_wider(context, simple, fits, unlike, noise_model)
+            continue
+        left = {name: scores for name, scores in left.items() if name not in now}
+        for base in set(base_of.values()) - {*bases}:
             bases[base] = _Base.of(context, *fits[base])
-        for name in (name for name, base in base_of.items() if base is None):
-            fits |= _outright(context, stage, [now[name]], noise_model, rejected, best)
-        beyond = {name: (bases[base], now[name]) for name, base in base_of.items() if base is not None}
+        beyond = {name: (bases[base], now[name]) for name, base in base_of.items()}
         for name, end in zip(beyond, side_by_side(lambda one: _beyond(context, *one), beyond.values())):
             if isinstance(end, Rejected):
                 rejected.append(end)
@@ -135,11 +140,12 @@ def _outright(
     noise_model: NoiseModel,
     rejected: list[Rejected],
     best: float,
-) -> dict[tuple[str, str], tuple[Score, Refit]]:
+) -> tuple[dict[tuple[str, str], tuple[Score, Refit]], dict[tuple[str, str], tuple[float, Refit]]]:
     """Refits from the model without the candidate, under one noise model first, then those that are left to their
-    end."""
+    end; and the best first refits of those that are another law there, with their criterion."""
     rough: dict[tuple[str, str], tuple[float, Score, Refit]] = {}
-    starts, unlike = [score for scores in listed for score in scores], {}
+    unlike: dict[tuple[str, str], tuple[float, Refit]] = {}
+    starts, words = [score for scores in listed for score in scores], {}
 
     def first(k):
         effect, place = _name(starts[k])
@@ -154,14 +160,16 @@ def _outright(
             name, criterion = _name(score), criterion_of(context, score, fit)
             if (why := unresolved(fit, score)) is not None:
                 # Another law under this one's name, which others must not be measured by.
-                unlike[name] = why
+                words[name] = why
+                if name not in unlike or criterion < unlike[name][0]:
+                    unlike[name] = criterion, fit
                 continue
             best = min(best, criterion)
             if name not in rough or criterion < rough[name][0]:
                 rough[name] = criterion, score, fit
     for scores in listed:
         if (name := _name(scores[0])) not in rough:
-            why = Refusal(Reason.OTHER_LAW, unlike[name]) if name in unlike else NOT_SIMULATED
+            why = Refusal(Reason.OTHER_LAW, words[name]) if name in words else NOT_SIMULATED
             rejected.append(Rejected.of(name, scores[0].delta_bic, why))
     going: dict[tuple[str, str], tuple[Score, Refit]] = {}
     for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
@@ -178,7 +186,41 @@ def _outright(
         context.progress.stage(f"pursuing {name[0]} at {name[1]}")
         return going[name][0], refit_to_convergence(context, going[name][1])
 
-    return dict(zip(going, side_by_side(at_end, going)))
+    return dict(zip(going, side_by_side(at_end, going))), unlike
+
+
+def _from_wider(
+    context: SearchContext,
+    listed: dict[tuple[str, str], Score],
+    fits: dict[tuple[str, str], tuple[Score, Refit]],
+    unlike: dict[tuple[str, str], tuple[float, Refit]],
+    noise_model: NoiseModel,
+) -> dict[tuple[str, str], tuple[Score, Refit]]:
+    """Simpler laws refitted from where a wider one became one of them, where that is ahead of what they came to
+    themselves: with more to move, the wider one found the way."""
+    found = {}
+    for name, score in listed.items():
+        wider = [one for key, one in unlike.items() if key[1] == name[1]]
+        wider = [one for one in wider if name[0] in one[1].candidate.terms[-1].effect.contains]
+        if not wider:
+            continue
+        own = _criterion_under(context, *fits[name], noise_model) if name in fits else np.inf
+        reached = min([own, *(_criterion_under(context, *one, noise_model) for one in fits.values())])
+        criterion, fit = min(wider, key=lambda one: one[0])
+        if criterion > reached:
+            continue
+        context.progress.stage(f"refitting {name[0]} at {name[1]}")
+        last, shape = fit.candidate.terms[-1], score.shape.term(score.weights)
+        known = dict(zip((p.name for p in last.effect.parameters), last.values))
+        values = [known.get(p.name, value) for p, value in zip(shape.effect.parameters, shape.values)]
+        term = Term(shape.effect, shape.place, shape.effect.bounded(np.array(values, float)))
+        begin = fit.candidate.with_terms((*fit.candidate.terms[:-1], term))
+        again = refit(
+            context.simulator, begin, context.data, noise_model, held=context.held, max_steps=10, tolerance=ROUGH
+        )
+        if again is not None and criterion_of(context, score, again) < reached:
+            found[name] = score, refit_to_convergence(context, again)
+    return found
 
 
 @dataclass(frozen=True)

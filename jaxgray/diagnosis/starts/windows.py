@@ -51,6 +51,9 @@ FAR = 4.0
 CLEAR = 2
 """Windows left out on either side of a change."""
 
+FUSIONS = 2
+"""Steps in which the entries of windows become those of one model with a law."""
+
 MOMENTS = 64
 """Moments that a change is tried at, over as many windows on both sides of it."""
 
@@ -160,18 +163,23 @@ def _from_neighbours(
     context: SearchContext, stage: Stage, noise_model: NoiseModel, windows: list[_Window]
 ) -> list[_Window]:
     """The windows, those left with more than `FAR` times the least refitted from each neighbour that fits better as
-    well; the best end counts: from a start of large phase error a refit may end in another minimum."""
+    well; the best end counts: from a start of large phase error a refit may end in another minimum. What got better
+    passes on."""
     least = FAR * min(window.left for window in windows)
+    news = set(range(len(windows)))
 
     def better(k: int) -> _Window:
         window = windows[k]
-        beside = [near for near in windows[max(k - 1, 0) : k + 2] if near.left < window.left]
-        if window.left <= least or not beside:
-            return window
-        again = (_fitted(context, stage, noise_model, window.begin, window.data.samples, near) for near in beside)
+        near = [windows[j] for j in (k - 1, k + 1) if j in news and windows[j].left < window.left]
+        again = (_fitted(context, stage, noise_model, window.begin, window.data.samples, one) for one in near)
         return min([window, *filter(None, again)], key=lambda one: one.left)
 
-    return side_by_side(better, range(len(windows)))
+    while news:
+        late = [k for k in range(len(windows)) if windows[k].left > least and news & {k - 1, k + 1}]
+        found = dict(zip(late, side_by_side(better, late)))
+        news = {k for k, window in found.items() if window is not windows[k]}
+        windows = [found.get(k, window) for k, window in enumerate(windows)]
+    return windows
 
 
 def _fitted(
@@ -267,8 +275,8 @@ def _together(
     for window in windows:
         layout = Layout(setup, Candidate(window.entries, (window.x0,), window.terms))
         equations.append(Equations(context.simulator, [window.data], noise_model, layout))
-    theta, size, states = windows[0].entries, 0.0, [window.x0 for window in windows]
-    entries, first = len(theta), len(theta) + len(states[0])
+    entries = len(windows[0].entries)
+    first = entries + len(windows[0].x0)
     moving = np.concatenate([~setup.held, [law is not None]])
 
     def evaluated(theta, size, states):
@@ -279,58 +287,75 @@ def _together(
         made = [eq(Candidate(theta + g * size * d, (x0,), window.terms)) for eq, g, x0, window in parts]
         return None if any(one is None for one in made) else (d, made, sum(one[2] for one in made))
 
-    now, damping = evaluated(theta, size, states), 1e-6
-    if law is not None:
-        # A change of half of a matrix is out of reach of the slope at none: also from what the last window's own
-        # entries say.
-        begun = _size_between(windows[0], windows[-1], equations[-1], _direction(context, *law, theta), course[-1])
-        other = None if begun is None else evaluated(theta, begun, states)
-        if other is not None and (now is None or other[2] < now[2]):
-            now, size = other, begun
-    if now is None:
-        return None
-    count = sum(one[3] for one in now[1])
-    for _ in range(STEPS):
-        d, made, cost = now
-        parts, H, gradient = [], 0.0, 0.0
-        for (full, g_full, *_), g in zip(made, course):
-            # By the entries and the size; the first state taken out.
-            T = np.concatenate([np.eye(entries), (g * d)[:, None]], axis=1)
-            inner = pseudo_inverse(full[entries:first, entries:first])
-            across = T.T @ full[:entries, entries:first]
-            H = H + T.T @ full[:entries, :entries] @ T - across @ inner @ across.T
-            gradient = gradient + T.T @ g_full[:entries] - across @ inner @ g_full[entries:first]
-            parts.append((inner, across, g_full[entries:first]))
-        H, gradient = H[np.ix_(moving, moving)], gradient[moving]
-        step = np.zeros(entries + 1)
-        step[moving] = -pseudo_inverse(H + damping * np.diag(np.diag(H))) @ gradient
-        moved = [x0 - inner @ (g0 + across.T @ step) for x0, (inner, across, g0) in zip(states, parts)]
-        trial = evaluated(theta + step[:-1], size + step[-1], moved)
-        if trial is None or not trial[2] <= cost:
-            damping = max(10 * damping, 1e-3)
-            if damping > 1e6:
+    def refined(theta, size, states):
+        now, damping = evaluated(theta, size, states), 1e-6
+        for _ in range(STEPS if now is not None else 0):
+            d, made, cost = now
+            parts, H, gradient = [], 0.0, 0.0
+            for (full, g_full, *_), g in zip(made, course):
+                # By the entries and the size; the first state taken out.
+                T = np.concatenate([np.eye(entries), (g * d)[:, None]], axis=1)
+                inner = pseudo_inverse(full[entries:first, entries:first])
+                across = T.T @ full[:entries, entries:first]
+                H = H + T.T @ full[:entries, :entries] @ T - across @ inner @ across.T
+                gradient = gradient + T.T @ g_full[:entries] - across @ inner @ g_full[entries:first]
+                parts.append((inner, across, g_full[entries:first]))
+            H, gradient = H[np.ix_(moving, moving)], gradient[moving]
+            step = np.zeros(entries + 1)
+            step[moving] = -pseudo_inverse(H + damping * np.diag(np.diag(H))) @ gradient
+            moved = [x0 - inner @ (g0 + across.T @ step) for x0, (inner, across, g0) in zip(states, parts)]
+            trial = evaluated(theta + step[:-1], size + step[-1], moved)
+            if trial is None or not trial[2] <= cost:
+                damping = max(10 * damping, 1e-3)
+                if damping > 1e6:
+                    break
+                continue
+            theta, size, states, damping = theta + step[:-1], size + step[-1], moved, damping / 10
+            now = trial
+            if cost - trial[2] < ROUGH * trial[2] / sum(one[3] for one in trial[1]):
                 break
-            continue
-        theta, size, states, damping = theta + step[:-1], size + step[-1], moved, damping / 10
-        now = trial
-        if cost - trial[2] < ROUGH * trial[2] / count:
-            break
-    return theta, states[0], size, now[2], count
+        return None if now is None else (theta, states[0], size, now[2], sum(one[3] for one in now[1]))
+
+    # A change that takes a window out of step is out of reach of the slope at none.
+    starts = [(windows[0].entries, 0.0), _fused(context, law, windows, equations, course)]
+    ends = [refined(*start, [window.x0 for window in windows]) for start in starts if start is not None]
+    return min(filter(None, ends), key=lambda end: end[3], default=None)
 
 
-def _size_between(
-    first: _Window, last: _Window, equations: Equations, d: np.ndarray | None, share: float
-) -> float | None:
-    """The size of a law, of which such a share acts in the last window, that is nearest to the difference of two
-    windows' entries as the last one sees it; None where it sees none."""
-    made = equations(Candidate(last.entries, (last.x0,), last.terms))
-    if made is None or d is None:
-        return None
-    n, full = len(d), made[0]
-    to = n + len(last.x0)
-    H = full[:n, :n] - full[:n, n:to] @ pseudo_inverse(full[n:to, n:to]) @ full[n:to, :n]
-    seen = share * float(d @ H @ d)
-    return float(d @ H @ (last.entries - first.entries)) / seen if seen > 0 else None
+def _fused(
+    context: SearchContext,
+    law: tuple[AbstractEffect, Place] | None,
+    windows: list[_Window],
+    equations: list[Equations],
+    course: list[float],
+) -> tuple[np.ndarray, float] | None:
+    """The entries and the size of a law that are nearest to the windows' own entries, as far as each window determines
+    them; None where one sees none."""
+    setup = context.simulator.setup
+    n, theta, size = len(windows[0].entries), windows[0].entries, 0.0
+    seen = []
+    for window, eq in zip(windows, equations):
+        made = eq(Candidate(window.entries, (window.x0,), window.terms))
+        if made is None:
+            return None
+        full, to = made[0], n + len(window.x0)
+        seen.append(full[:n, :n] - full[:n, n:to] @ pseudo_inverse(full[n:to, n:to]) @ full[n:to, :n])
+    moving = np.concatenate([~setup.held, [law is not None]])
+    for _ in range(FUSIONS):
+        d = np.zeros(n) if law is None else _direction(context, *law, theta)
+        if d is None:
+            return None
+        H, gradient = 0.0, 0.0
+        for window, share, own in zip(windows, course, seen):
+            T = np.concatenate([np.eye(n), (share * d)[:, None]], axis=1)
+            H = H + T.T @ own @ T
+            gradient = gradient + T.T @ own @ (window.entries - theta - share * size * d)
+        step = np.zeros(n + 1)
+        step[moving] = pseudo_inverse(H[np.ix_(moving, moving)]) @ gradient[moving]
+        theta, size = theta + step[:-1], size + step[-1]
+        if not bounded(theta):
+            return None
+    return theta, float(size)
 
 
 def _direction(context: SearchContext, effect: AbstractEffect, place: Place, entries: np.ndarray) -> np.ndarray | None:
