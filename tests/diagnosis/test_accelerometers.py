@@ -13,6 +13,7 @@ import scipy.signal
 import jaxgray
 from jaxgray.diagnosis.equation_error.band import band_of
 from jaxgray.diagnosis.equation_error.base_motion import as_forces
+from jaxgray.diagnosis.equation_error.integrated_band import integrated_band
 from jaxgray.diagnosis.equation_error.rows import series_of
 from jaxgray.diagnosis.equation_error.search import first_trials
 from jaxgray.diagnosis.model.baseline import baseline_of
@@ -52,6 +53,35 @@ def test_accelerations_are_integrated_to_the_motion_in_the_band():
     for found, truth in ((series.q, true), (series.v, np.gradient(true, H, axis=0))):
         wrong = np.linalg.norm((found - truth)[inside], axis=0) / np.linalg.norm(truth[inside], axis=0)
         assert np.all(wrong < 0.02), wrong
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_impacts_that_pass_for_noise_of_a_sensor_do_not_take_the_motion_out_of_the_band(seed):
+    ready()
+    frame, h = frames.Frame((120.0, 90.0, 140.0), (1.9e5, 1.7e5, 2.1e5), (15.0, 12.0, 14.0)), 0.01
+    rng = np.random.default_rng([77, seed])
+    u = 1.2 * frames.band_noise(rng, 6000, 1, (0.5, 20.0), h)
+    gap = 0.9 * np.std(frames.shaken_with(frame, u, h, [])[1][:, 0])
+    stop = hidden_laws.Effect("end_stop", "y1", {"gap": gap, "ks": 2.85e5})
+    clean = frames.shaken_with(frame, u, h, [stop])[0]
+    y = clean + 1e-3 * clean.std() * rng.standard_normal(clean.shape)
+    record = jaxgray.Record(u, y, h, hold="linear", measured="acceleration")
+    relative, drive, mass = as_forces([record], BASE)
+    # Hit at its first floor, the frame moves at 2.8 Hz above all.
+    assert band_of(relative).low > 5.0 and integrated_band(relative).low < 2.8
+    np.testing.assert_allclose(np.diag(mass), np.array(frame.masses) / frame.masses[0], rtol=0.15)
+    best = first_trials(relative, drive, tuple(map(by_id, LAWS)), mass, Silent())[0]
+    assert best.name == ("end_stop", "y1")
+    np.testing.assert_allclose(best.term.values, [2.85e5 / frame.masses[0], gap], rtol=0.1)
+
+
+def test_a_band_stays_as_spectra_set_it_where_nothing_is_integrated_or_rows_are_few():
+    record = shaken("end_stop", 1, 3)[0]
+    still = dataclasses.replace(record, measured="displacement", output_units=["m"] * 3)
+    assert integrated_band([still]) == band_of([still])
+    relative = as_forces([record], BASE)[0][0]
+    few = relative[:300]
+    assert integrated_band([few]) == band_of([few])
 
 
 @pytest.mark.parametrize("law", [None, "end_stop", "bilinear_stiffness", "coulomb_friction"])

@@ -2,6 +2,7 @@
 
 import dataclasses
 import zlib
+from types import SimpleNamespace
 
 import hidden
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from found import check_found, diagnosed
 
 import jaxgray
+from jaxgray.diagnosis.estimation import multistart
 from jaxgray.diagnosis.estimation.context import noise_model_of
 from jaxgray.diagnosis.estimation.gauss_newton import refit
 from jaxgray.diagnosis.estimation.multistart import Attempt
@@ -18,6 +20,7 @@ from jaxgray.diagnosis.search.backward import prune
 from jaxgray.diagnosis.search.state import Accepted
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Term
+from jaxgray.numerics.progress import Silent
 
 LAWS = ["coulomb_friction", "stribeck_friction", "constant_force"]
 
@@ -89,3 +92,50 @@ def test_a_record_is_judged_where_no_law_is_left_to_look_for(friction):
     diagnosis = diagnosed(friction[0], only=["coulomb_friction"])
     assert [finding.effect for finding in diagnosis.findings] == ["coulomb_friction"], str(diagnosis)
     assert diagnosis.verdict == "partly", str(diagnosis)
+
+
+def test_a_simpler_law_goes_on_from_a_wider_one_that_became_it(monkeypatch):
+    simple, wide = (by_id(name) for name in LAWS[:2])
+    place, other = (SimpleNamespace(name=name) for name in ("y1", "y2"))
+
+    class Start(SimpleNamespace):
+        terms = ()
+
+        def with_terms(self, terms):
+            made = Start()
+            made.terms = tuple(terms)
+            return made
+
+    def ended(at, cost, count=100):
+        term = Term(wide, at, np.array([0.7, 0.1, 1e-4, 2e-3]))
+        return SimpleNamespace(candidate=Start().with_terms([term]), cost=np.exp(cost / count), count=count)
+
+    shape = SimpleNamespace(
+        effect=simple, place=place, free=1, tried=1, term=lambda w: Term(simple, place, np.array([0.2, 1e-3]))
+    )
+    score = SimpleNamespace(shape=shape, weights=np.ones(1))
+    begun = []
+
+    def refitted(simulator, candidate, *given, **options):
+        begun.append(candidate.terms)
+        return SimpleNamespace(candidate=candidate, cost=np.exp(-5.0), count=100)
+
+    monkeypatch.setattr(multistart, "refit", refitted)
+    monkeypatch.setattr(multistart, "refit_to_convergence", lambda context, fit: fit)
+    monkeypatch.setattr(multistart, "_penalty", lambda context, score: 0.0)
+    context = SimpleNamespace(simulator=None, data=None, held=None, progress=Silent())
+
+    def found(unlike, fits=None):
+        begun.clear()
+        return multistart._from_wider(context, {("coulomb_friction", "y1"): score}, fits or {}, unlike, None)
+
+    ahead = {("stribeck_friction", "y1"): (-300.0, ended(place, -300.0))}
+    ((name, (_, fit)),) = found(ahead).items()
+    assert name == ("coulomb_friction", "y1")
+    ((term,),) = begun
+    assert term.effect is simple and term.place is place
+    np.testing.assert_array_equal(term.values, [0.7, 2e-3])
+    # Not at another place, and not where the law is ahead by itself: its own refit has −500 here.
+    assert not found({("stribeck_friction", "y2"): (-300.0, ended(other, -300.0))}) and not begun
+    assert not found({("stribeck_friction", "y1"): (-200.0, ended(place, -200.0))}, {name: (score, fit)})
+    assert not found({})

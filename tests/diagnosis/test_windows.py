@@ -83,6 +83,45 @@ def test_a_window_that_is_left_far_off_is_fitted_again_from_those_beside_it(monk
     assert sorted(asked) == [(100, 0), (100, 200), (300, 200), (300, 400)]
 
 
+def test_what_a_window_gained_from_its_neighbour_passes_on(monkeypatch):
+    def window(begin, left):
+        return windows._Window(
+            types.SimpleNamespace(samples=100), begin, np.zeros(1), np.zeros(2), (), np.ones(1), 1e3, left
+        )
+
+    monkeypatch.setattr(
+        windows, "_fitted", lambda *given: window(given[3], 1.5 if given[5].left < 4.0 else given[5].left + 5.0)
+    )
+    lefts = [1.0, 80.0, 75.0, 70.0, 65.0, 90.0]
+    found = windows._from_neighbours(None, None, None, [window(100 * k, left) for k, left in enumerate(lefts)])
+    assert [one.left for one in found] == [1.0, 1.5, 1.5, 1.5, 1.5, 1.5]
+    assert [one.begin for one in found] == [0, 100, 200, 300, 400, 500]
+
+
+def test_a_law_begins_with_what_all_windows_determine_of_it(monkeypatch):
+    # Three entries; no window determines the third, which has wandered, and each leaves its first state open.
+    rng = np.random.default_rng(5)
+    truth, law, size, course = np.array([2.0, -1.0, 0.5]), np.array([0.0, 0.3, 0.0]), -4.0, [0.0, 0.0, 1.0, 1.0]
+    shape = types.SimpleNamespace(held=np.zeros(3, bool))
+    context = types.SimpleNamespace(simulator=types.SimpleNamespace(setup=shape))
+    monkeypatch.setattr(windows, "_direction", lambda context, effect, place, entries: law)
+    given, equations = [], []
+    for share in course:
+        entries = truth + share * size * law
+        entries[2] += 10 * rng.standard_normal()
+        given.append(windows._Window(None, 0, entries, np.zeros(2), (), np.ones(1), 1.0, 0.0))
+        J = rng.standard_normal((50, 5))
+        J[:, 2] = 0.0
+        equations.append(lambda candidate, H=J.T @ J: (H,))
+    theta, found = windows._fused(context, ("law", "place"), given, equations, course)
+    np.testing.assert_allclose(found, size, rtol=1e-6)
+    np.testing.assert_allclose(theta[:2], truth[:2], rtol=1e-6)
+    # Without a law to change them, the entries of windows that differ meet in between.
+    between, none = windows._fused(context, None, given, equations, course)
+    assert none == 0.0 and min(truth[1], truth[1] + size * law[1]) < between[1] < truth[1]
+    assert windows._fused(context, None, given, [*equations[:3], lambda candidate: None], course) is None
+
+
 def data_of(y, kept=None):
     kept = np.ones(y.shape, bool) if kept is None else kept
     return Data(y[:, :1], np.where(kept, y, 0.0), kept, np.zeros(len(y)), len(y), 0.05, "zero")
