@@ -285,6 +285,10 @@ class OwnSimulator:
         str | None, _option("--parameters", metavar="NAME=X,…", help="The simulator's numbers, as it has them.")
     ] = None
     workers: Annotated[int, _option("--workers", metavar="N", help="Processes that run the simulator.")] = 1
+    simulated: Annotated[
+        str | None,
+        _option("--simulated", metavar="COLUMN,…", help="Judge the simulation whose outputs these columns are."),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

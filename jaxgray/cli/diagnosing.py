@@ -37,8 +37,9 @@ def diagnose(
 ) -> None:
     """Say what a model of the record gets wrong, name the cause, add it, and prove the gain on held-out data.
 
-    The model is fitted to the record, or given by --model, or is your own simulator, given by --simulator. Without
-    --validation and --holdout the last 30 % of the record are held out.
+    The model is fitted to the record, or given by --model, or is your own simulator, given by --simulator, or what
+    moves as your simulation does, whose outputs --simulated names among the columns. Without --validation and --holdout
+    the last 30 % of the record are held out.
     """
     from ..report import terminal
     from . import files
@@ -80,6 +81,7 @@ def diagnose(
             budget=diagnosing.budget,
             seed=diagnosing.seed,
             progress=progress,
+            simulated=files.simulated(simulating.simulated, file, channels, []),
             holdout=HOLDOUT if channels.holdout is None else channels.holdout,
             **options,
         )
@@ -132,6 +134,8 @@ def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing) -> None:
     """Raise `ValueError` for options of a simulator that do not go together."""
     if simulating.simulator is not None and diagnosing.model is not None:
         raise ValueError("--simulator and --model are two things to judge; give one of them.")
+    if simulating.simulated is not None and (simulating.simulator, diagnosing.model) != (None, None):
+        raise ValueError("--simulated is judged in the place of --simulator or --model; give one of them.")
     if simulating.simulator is None and simulating.parameters is not None:
         raise ValueError("--parameters are those of a simulator; give --simulator FILE.py:FUNCTION as well.")
     if simulating.workers < 1:

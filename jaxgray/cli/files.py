@@ -1,5 +1,6 @@
 """Reading records and models for the commands, and where results may go."""
 
+import dataclasses
 import json
 import warnings
 from pathlib import Path
@@ -63,6 +64,15 @@ def read(path: Path, file: File, channels, notes: list[str]) -> Record:
         else:
             warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
     return record
+
+
+def simulated(columns: str | None, file: File, channels: Channels, notes: list[str]):
+    """Columns of the record's file with the outputs of a simulation, samples × outputs; None for none."""
+    if columns is None:
+        return None
+    if not words(columns):
+        raise ValueError("--simulated is empty; name a column for every output, with commas between.")
+    return read(file.file, file, dataclasses.replace(channels, outputs=columns), notes).y
 
 
 def read_pair(file: File, channels: Channels, notes: list[str]) -> tuple[Record, Record | None]:

@@ -1,6 +1,7 @@
 """What a simulation gets wrong: measured records in, one immutable `Diagnosis` out.
 
 diagnose     the pipeline
+simulated_outputs  what stands in for a simulation of which only the outputs are known
 routing      which likelihood can judge a record
 conclusions  the result: tables, budget, curves, next experiment
 search       which effects are in the model, by free runs: propose, refit, accept, drop

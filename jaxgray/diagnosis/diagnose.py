@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from jaxtyping import Float
 
 from ..identification import Identification
 from ..identification.validation.structure_test import StructureTest
@@ -15,6 +16,7 @@ from ..mechanics.linear import corrected
 from ..mechanics.model import MechanicalModel
 from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
 from ..numerics.runtime import ready, relieve, undisturbed
+from ..numerics.text import listed
 from ..records import Record, check_compatible, preflight
 from ..records.cleaning import without_defects
 from . import settings
@@ -58,6 +60,7 @@ from .search.forward import recount
 from .search.modal_restart import from_other_modes
 from .search.parts import Searched, search
 from .search.state import SearchState
+from .simulated_outputs import as_if_measured, stand_in
 from .starts.user_model import identified, with_first_states
 
 FORCES = (*(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect)), KnownForce())
@@ -75,6 +78,7 @@ def diagnose(
     simulator: Callable | None = None,
     parameters: Mapping[str, float] | None = None,
     workers: int = 1,
+    simulated: Float[np.ndarray, "samples outputs"] | None = None,
     catalogue: tuple[AbstractEffect, ...] = CATALOGUE,
     only=None,
     exclude=None,
@@ -98,6 +102,8 @@ def diagnose(
       and numbers θ by name → displacements (samples × outputs). Which of its numbers are off, then which laws it lacks.
     - `parameters`: θ as the simulator has them; a number keeps its sign, and one that is 0 does not become negative.
     - `workers`: processes that run the simulator side by side (it must then be importable); default 1.
+    - `simulated`: outputs of the user's own simulation of the record's inputs, where they are all that is known of it:
+      the model that moves as they do stands in for it.
     - `catalogue`: effects to look for; append your own.
     - `only`, `exclude`: ids of effects to look for alone, or to leave out; default none.
     - `max_effects`: how many effects may be added; default 4.
@@ -120,6 +126,13 @@ def diagnose(
     if not isinstance(max_effects, int) or max_effects < 0:
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
     searched = chosen_effects(catalogue, only, exclude)
+    if simulated is not None:
+        judged = {"model": model, "simulator": simulator, "parameters": parameters}
+        if given := [name for name, value in judged.items() if value is not None]:
+            raise ValueError(f"simulated and {listed(given)} are different things to judge; give one of them.")
+        settled = {"catalogue": catalogue, "only": only, "exclude": exclude, "max_effects": max_effects}
+        settled |= {"holdout": holdout, "seed": seed, "progress": progress}
+        return _ended(_of_simulated_outputs(record, validation, simulated, settled, options), progress, budget)
     if simulator is not None:
         found = _of_simulator(
             simulator,
@@ -234,6 +247,20 @@ def _of_clean_records(
         anew += (f"{searched.where}; every number is of the refit on the whole record.",)
     warnings = baseline.left_out + anew + beyond_the_fit(records, held) + found.warnings
     return dataclasses.replace(found, findings=outliers + found.findings, warnings=warnings)
+
+
+def _of_simulated_outputs(record, validation, simulated, settled: dict, options: dict) -> Diagnosis:
+    """The diagnosis of a simulation of which only the outputs are known."""
+    if not isinstance(record, Record):
+        raise ValueError("simulated outputs are those of one record's inputs; give that record alone.")
+    shown = as_if_measured(record, simulated, settled["seed"])
+    settled["progress"].unlimited.stage("finding what moves as your simulation does")
+    model, stands_in = stand_in(diagnose(shown, **settled, **options))
+    # The structure is that of the simulation; the machine need not have it.
+    options = {name: value for name, value in options.items() if name not in ("structure", "fix")}
+    settled["progress"].unlimited.stage("comparing it with what was measured")
+    found = diagnose(record, validation=validation, model=model, **settled, **options)
+    return dataclasses.replace(found, simulated=stands_in)
 
 
 def _of_simulator(

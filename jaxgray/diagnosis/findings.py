@@ -205,6 +205,15 @@ class NextExperiment:
 
 
 @dataclass(frozen=True)
+class SimulatedOutputs:
+    """The model that stands in for a simulation of which only the outputs are known: the `findings` that it has beside
+    M, D, K, and what it leaves of the motion of every output [%] (`left_percent`)."""
+
+    findings: tuple[Finding, ...]
+    left_percent: dict[str, float]
+
+
+@dataclass(frozen=True)
 class DiagnosisFields:
     """What a `Diagnosis` holds; its docstring says what each field is."""
 
@@ -234,3 +243,4 @@ class DiagnosisFields:
     own_model: bool = False
     gate: tuple[Gated, ...] = ()
     beside: Float[np.ndarray, "samples dofs"] | None = field(default=None, repr=False)
+    simulated: SimulatedOutputs | None = None

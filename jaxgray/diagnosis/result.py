@@ -19,7 +19,8 @@ class Diagnosis(DiagnosisFields, Shown):
     `shifts` of M, D, K; `budget`: share of every term, noise and the unexplained in the baseline's mean square error,
     in percent; `next_experiment`; `warnings`; `curves` for the figures; `identification`: the linear fit, None with
     the user's own model; `terms` accepted; `beside`: forces at the coordinates of the first record that act on the
-    linear model beside its inputs, where that stands for the user's own simulator, else None.
+    linear model beside its inputs, where that stands for the user's own simulator, else None; `simulated`: what
+    stands in for a simulation of which only the outputs were given, else None.
     """
 
     @property

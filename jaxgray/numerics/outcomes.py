@@ -60,6 +60,10 @@ class RESULTS(eqx.Enumeration):
         "The simulator that was given gives no outputs that can be used. Run it with these inputs, mend it, or give "
         "other numbers."
     )
+    not_reproduced = (
+        "No model of the catalogue moves as the simulation does, so there is none to compare the machine with. Give "
+        "the simulator itself, or more coordinates of it."
+    )
     nonfinite = "The computation produced infinite or undefined values. Check the record's scale and offsets."
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..diagnosis.findings import Estimate, Finding, Gain, ModelSummary, NextExperiment
+from ..diagnosis.findings import Estimate, Finding, Gain, ModelSummary, NextExperiment, SimulatedOutputs
 from ..diagnosis.result import Diagnosis
 from .export import model_document, plain
 from .summary import record_document
@@ -24,6 +24,7 @@ def diagnosis_document(diagnosis: Diagnosis, notes: tuple[str, ...] = ()) -> dic
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
         "own_model": diagnosis.own_model,
+        "simulated": _simulated(diagnosis.simulated),
         "baseline": _summary(diagnosis.baseline)
         | {
             "noise_floor": diagnosis.noise_floor,
@@ -75,6 +76,14 @@ def diagnosis_document(diagnosis: Diagnosis, notes: tuple[str, ...] = ()) -> dic
         "warnings": list(dict.fromkeys((*notes, *diagnosis.warnings))),
     }
     return plain(document)
+
+
+def _simulated(simulated: SimulatedOutputs | None) -> dict | None:
+    """What stands in for simulated outputs."""
+    if simulated is None:
+        return None
+    findings = [_finding(finding) for finding in simulated.findings]
+    return {"findings": findings, "left_percent": simulated.left_percent}
 
 
 def _summary(summary: ModelSummary) -> dict:

@@ -11,6 +11,7 @@ import pytest
 import scipy.signal
 
 import jaxgray
+from jaxgray.diagnosis.equation_error import integrated_band as bands
 from jaxgray.diagnosis.equation_error.band import band_of
 from jaxgray.diagnosis.equation_error.base_motion import as_forces
 from jaxgray.diagnosis.equation_error.integrated_band import integrated_band
@@ -47,7 +48,7 @@ def shaken(law, storey, seed, samples=6000):
 def test_accelerations_are_integrated_to_the_motion_in_the_band():
     record, drifts, _ = shaken("end_stop", 1, 3)
     relative = as_forces([record], BASE)[0]
-    series = series_of(relative[0], band_of(relative))
+    series = series_of(relative[0], integrated_band(relative))
     true = np.cumsum(scipy.signal.sosfiltfilt(series.sections, drifts, axis=0), axis=1)
     inside = slice(int(2 / (series.band.low * H)), -int(2 / (series.band.low * H)))
     for found, truth in ((series.q, true), (series.v, np.gradient(true, H, axis=0))):
@@ -55,8 +56,8 @@ def test_accelerations_are_integrated_to_the_motion_in_the_band():
         assert np.all(wrong < 0.02), wrong
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_impacts_that_pass_for_noise_of_a_sensor_do_not_take_the_motion_out_of_the_band(seed):
+@pytest.mark.parametrize("seed", [0, 1])
+def test_impacts_that_pass_for_noise_of_a_sensor_do_not_take_the_motion_out_of_the_band(seed, monkeypatch):
     ready()
     frame, h = frames.Frame((120.0, 90.0, 140.0), (1.9e5, 1.7e5, 2.1e5), (15.0, 12.0, 14.0)), 0.01
     rng = np.random.default_rng([77, seed])
@@ -73,15 +74,18 @@ def test_impacts_that_pass_for_noise_of_a_sensor_do_not_take_the_motion_out_of_t
     best = first_trials(relative, drive, tuple(map(by_id, LAWS)), mass, Silent())[0]
     assert best.name == ("end_stop", "y1")
     np.testing.assert_allclose(best.term.values, [2.85e5 / frame.masses[0], gap], rtol=0.1)
+    # Where rows are too few to tell, or shorter ones lose the strong motion, it stays as spectra set it.
+    monkeypatch.setattr(bands, "ROWS_PER_COEFFICIENT", 1000)
+    assert integrated_band(relative) == band_of(relative)
+    monkeypatch.undo()
+    monkeypatch.setattr(bands, "KEPT", 2.0)
+    assert integrated_band(relative) == band_of(relative)
 
 
-def test_a_band_stays_as_spectra_set_it_where_nothing_is_integrated_or_rows_are_few():
+def test_a_band_stays_as_spectra_set_it_where_nothing_is_integrated():
     record = shaken("end_stop", 1, 3)[0]
     still = dataclasses.replace(record, measured="displacement", output_units=["m"] * 3)
     assert integrated_band([still]) == band_of([still])
-    relative = as_forces([record], BASE)[0][0]
-    few = relative[:300]
-    assert integrated_band([few]) == band_of([few])
 
 
 @pytest.mark.parametrize("law", [None, "end_stop", "bilinear_stiffness", "coulomb_friction"])

@@ -142,7 +142,9 @@ def test_a_wrong_number_of_a_law_is_found_and_mended(rubbing, tmp_path):
     (finding,) = model_findings(diagnosis)
     assert (finding.effect, finding.location) == ("parameter_error", "Fc of coulomb_friction at y1"), str(diagnosis)
     check_parameter(finding.parameters["delta"], 0.1 * true, "delta", str(diagnosis))
-    assert "Your numbers: Fc of Coulomb friction at y1 should be higher by" in diagnosis.sentence
+    value = finding.parameters["value"]
+    assert value.value == pytest.approx(0.9 * true + finding.parameters["delta"].value)
+    assert "Your numbers: Fc of Coulomb friction at y1 is " in diagnosis.sentence and ", not " in diagnosis.sentence
     (mended,) = diagnosis.extended.model.effects
     assert mended.effect.id == "coulomb_friction" and abs(mended.values[0] / true - 1) < 0.02
     path = tmp_path / "mended.json"

@@ -15,6 +15,7 @@ from jaxgray.diagnosis.estimation.context import noise_model_of
 from jaxgray.diagnosis.estimation.gauss_newton import refit
 from jaxgray.diagnosis.estimation.multistart import Attempt
 from jaxgray.diagnosis.estimation.significance import at_bound
+from jaxgray.diagnosis.findings import Reason, Refusal, Rejected
 from jaxgray.diagnosis.search import forward as growing
 from jaxgray.diagnosis.search.backward import prune
 from jaxgray.diagnosis.search.state import Accepted
@@ -94,26 +95,32 @@ def test_a_record_is_judged_where_no_law_is_left_to_look_for(friction):
     assert diagnosis.verdict == "partly", str(diagnosis)
 
 
-def test_a_simpler_law_goes_on_from_a_wider_one_that_became_it(monkeypatch):
-    simple, wide = (by_id(name) for name in LAWS[:2])
-    place, other = (SimpleNamespace(name=name) for name in ("y1", "y2"))
+class Start(SimpleNamespace):
+    """As much of a candidate as its terms."""
 
-    class Start(SimpleNamespace):
-        terms = ()
+    terms = ()
 
-        def with_terms(self, terms):
-            made = Start()
-            made.terms = tuple(terms)
-            return made
+    def with_terms(self, terms):
+        made = Start()
+        made.terms = tuple(terms)
+        return made
 
-    def ended(at, cost, count=100):
-        term = Term(wide, at, np.array([0.7, 0.1, 1e-4, 2e-3]))
-        return SimpleNamespace(candidate=Start().with_terms([term]), cost=np.exp(cost / count), count=count)
 
-    shape = SimpleNamespace(
-        effect=simple, place=place, free=1, tried=1, term=lambda w: Term(simple, place, np.array([0.2, 1e-3]))
-    )
-    score = SimpleNamespace(shape=shape, weights=np.ones(1))
+def of_place(name, cost, count=100):
+    """A wide law at a place that became the simple one, refitted with a criterion."""
+    term = Term(by_id("stribeck_friction"), SimpleNamespace(name=name), np.array([0.7, 0.1, 1e-4, 2e-3]))
+    return cost, SimpleNamespace(candidate=Start().with_terms([term]), cost=np.exp(cost / count), count=count)
+
+
+def score_of(id, *values):
+    effect, place = by_id(id), SimpleNamespace(name="y1")
+    shape = SimpleNamespace(effect=effect, place=place, free=1, tried=1, term=lambda w: Term(effect, place, values))
+    return SimpleNamespace(shape=shape, weights=np.ones(1))
+
+
+@pytest.fixture
+def refits(monkeypatch):
+    """Refits that all come to a criterion of −500, and the terms that they began with."""
     begun = []
 
     def refitted(simulator, candidate, *given, **options):
@@ -123,19 +130,49 @@ def test_a_simpler_law_goes_on_from_a_wider_one_that_became_it(monkeypatch):
     monkeypatch.setattr(multistart, "refit", refitted)
     monkeypatch.setattr(multistart, "refit_to_convergence", lambda context, fit: fit)
     monkeypatch.setattr(multistart, "_penalty", lambda context, score: 0.0)
-    context = SimpleNamespace(simulator=None, data=None, held=None, progress=Silent())
+    return begun
 
-    def found(unlike, fits=None):
-        begun.clear()
-        return multistart._from_wider(context, {("coulomb_friction", "y1"): score}, fits or {}, unlike, None)
 
-    ahead = {("stribeck_friction", "y1"): (-300.0, ended(place, -300.0))}
-    ((name, (_, fit)),) = found(ahead).items()
-    assert name == ("coulomb_friction", "y1")
-    ((term,),) = begun
-    assert term.effect is simple and term.place is place
+CONTEXT = SimpleNamespace(simulator=None, data=None, held=None, progress=Silent())
+COULOMB, STRIBECK = ("coulomb_friction", "y1"), ("stribeck_friction", "y1")
+
+
+def test_a_simpler_law_goes_on_from_a_wider_one_that_became_it(refits):
+    score = score_of("coulomb_friction", 0.2, 1e-3)
+
+    def found(unlike, fits=None, best=np.inf):
+        refits.clear()
+        return multistart._from_wider(CONTEXT, {COULOMB: score}, fits or {}, unlike, None, best)
+
+    ((name, (_, fit)),) = found({STRIBECK: of_place("y1", -300.0)}).items()
+    assert name == COULOMB
+    ((term,),) = refits
+    assert term.effect is score.shape.effect and term.place is score.shape.place
     np.testing.assert_array_equal(term.values, [0.7, 2e-3])
-    # Not at another place, and not where the law is ahead by itself: its own refit has −500 here.
-    assert not found({("stribeck_friction", "y2"): (-300.0, ended(other, -300.0))}) and not begun
-    assert not found({("stribeck_friction", "y1"): (-200.0, ended(place, -200.0))}, {name: (score, fit)})
+    # Not at another place, not behind another law (−500) or a refit that is known, and not where it comes to no more.
+    assert not found({("stribeck_friction", "y2"): of_place("y2", -300.0)}) and not refits
+    assert not found({STRIBECK: of_place("y1", -200.0)}, {("cubic_stiffness", "y2"): (score, fit)})
+    assert not found({STRIBECK: of_place("y1", -200.0)}, best=-400.0) and not refits
+    assert not found({STRIBECK: of_place("y1", -700.0)}, best=-600.0) and len(refits) == 1
     assert not found({})
+
+
+def test_a_law_that_was_given_up_comes_back_by_a_wider_one(refits, monkeypatch):
+    def outright(context, stage, listed, noise_model, rejected, best):
+        (scores,) = listed
+        name = scores[0].shape.effect.id, "y1"
+        why = multistart.dominated(900.0) if name == COULOMB else Refusal(Reason.OTHER_LAW, "rounded off")
+        rejected.append(Rejected.of(name, 5.0, why))
+        return {}, {} if name == COULOMB else {STRIBECK: of_place("y1", -300.0)}
+
+    monkeypatch.setattr(multistart, "_outright", outright)
+    monkeypatch.setattr(multistart, "_followed", lambda context, fits, rejected: fits)
+    monkeypatch.setattr(multistart, "by_contact", lambda context, attempt, stage: attempt)
+    monkeypatch.setattr(multistart, "noise_model_of", lambda context, fit: SimpleNamespace(cost=0.0))
+    listed = [[score_of("stribeck_friction", 0.1, 0.1, 0.1, 1e-3)], [score_of("coulomb_friction", 0.2, 1e-3)]]
+    refused = Rejected.of(COULOMB, 1.0, multistart.dominated(50.0))
+    rejected = [refused]
+    attempts = multistart.attempts_of(CONTEXT, None, listed, None, rejected, {})
+    assert list(attempts) == [COULOMB]
+    # Of this round it is refused no more; what an earlier one said of it stays.
+    assert rejected[0] is refused and [(one.effect, one.location) for one in rejected[1:]] == [STRIBECK]

@@ -65,11 +65,12 @@ def test_the_moment_of_a_change_is_where_the_frequencies_differ():
         assert windows.moment_of(noisy) in (4, 5), seed
 
 
-def test_a_window_that_is_left_far_off_is_fitted_again_from_those_beside_it(monkeypatch):
-    def window(begin, left):
-        data = types.SimpleNamespace(samples=100)
-        return windows._Window(data, begin, np.zeros(1), np.zeros(2), (), np.ones(1), 1e3, left)
+def window(begin, left):
+    data = types.SimpleNamespace(samples=100, kept=np.ones((100, 1), bool))
+    return windows._Window(data, begin, np.zeros(1), np.zeros(2), (), np.ones(1), 1e3, left)
 
+
+def test_a_window_that_is_left_far_off_is_fitted_again_from_those_beside_it(monkeypatch):
     asked = []
 
     def fitted(context, stage, noise_model, begin, size, like):
@@ -84,11 +85,6 @@ def test_a_window_that_is_left_far_off_is_fitted_again_from_those_beside_it(monk
 
 
 def test_what_a_window_gained_from_its_neighbour_passes_on(monkeypatch):
-    def window(begin, left):
-        return windows._Window(
-            types.SimpleNamespace(samples=100), begin, np.zeros(1), np.zeros(2), (), np.ones(1), 1e3, left
-        )
-
     monkeypatch.setattr(
         windows, "_fitted", lambda *given: window(given[3], 1.5 if given[5].left < 4.0 else given[5].left + 5.0)
     )

@@ -1,5 +1,7 @@
 """From what the loop found to a `Diagnosis`: parameters with units, tables, budget and verdict."""
 
+import dataclasses
+
 import jax
 import numpy as np
 
@@ -16,7 +18,7 @@ from ..estimation.gauss_newton import Refit
 from ..findings import Curves, Estimate, Finding, Member, ModelSummary, NotFound, ParameterShift
 from ..model.candidate import Candidate, Setup
 from ..model.free_run import FreeRun
-from ..model.own_laws import completed, owner_of
+from ..model.own_laws import ParameterError, completed, owner_of
 from ..model.parameter_vector import Layout
 from ..noise.floor import residual_rms
 from ..noise.whitening import white_part
@@ -127,6 +129,9 @@ def _member(context: SearchContext, fit: Refit, index: int, record: Record, diff
     term, errors = fit.candidate.terms[index], term_errors(fit, setup, index)
     errors = errors | change_point_errors(context, fit, index, errors)
     parameters = estimates_of(term, errors, record, per_mass=setup.per_mass)
+    if isinstance(term.effect, ParameterError):
+        delta = parameters["delta"]
+        parameters["value"] = dataclasses.replace(delta, value=term.effect.value + delta.value)
     return Member(term.effect.id, term.place.name, float(difference), parameters)
 
 

@@ -6,6 +6,8 @@ So the accelerations of all outputs are regressed on their own motion, the input
 laws, and the lower end is where this leaves the least of them.
 """
 
+import dataclasses
+import functools
 import itertools
 
 import numpy as np
@@ -23,23 +25,44 @@ KNEES = (0.4, 0.6, 0.75, 0.85, 0.93, 0.98)
 velocity do so as well."""
 
 LOWER_ENDS = 2.0 ** np.arange(0.0, -4.5, -0.5)
-"""Lower ends that are tried, relative to that by spectra, which overrate noise and never underrate it."""
+"""Lower ends that are tried, relative to that by spectra, which take what acts at once for noise."""
+
+KEPT = 0.9
+"""Power of the motion that the rows of a lower end must keep of each record: the ends of a record and its gaps spoil
+more of longer periods."""
+
+CLEAR = 0.8
+"""What another lower end must come down to, relative to what that by spectra leaves."""
 
 
 def integrated_band(records: list[Record]) -> Band:
-    """The band of a regression, its lower end where the measured motion explains itself best; that by spectra where
-    nothing is integrated, or rows are too few to tell.
+    """The band of a regression, its lower end where the measured motion explains itself clearly best; that by spectra
+    where nothing is integrated, or rows are too few to tell.
 
     **Raises:** as `band_of`.
     """
     own = band_of(records)
-    if own.low == 0.0:
-        return own
     lowest = MIN_PERIODS / min(r.samples * r.sampling_time for r in records)
-    lows = own.low * LOWER_ENDS
-    bands = [own, *(Band(float(low), own.high) for low in lows[1:] if low >= lowest)]
-    left = [_left([series_of(one, band) for one in records]) for band in bands]
-    return bands[int(np.argmin(left))]
+    lows = [low for low in own.low * LOWER_ENDS[1:] if low >= lowest]
+    if not lows:
+        return own
+    first = [series_of(one, own) for one in records]
+    tried = [(own, first)]
+    for low in lows:
+        band = Band(float(low), own.high)
+        lower = [series_of(one, band) for one in records]
+        if all(_power(one, other.rows) >= KEPT * _power(one, one.rows) for one, other in zip(first, lower)):
+            tried.append((band, lower))
+    # Every band is judged on the same part of the records.
+    common = [functools.reduce(np.intersect1d, (one.rows for one in same)) for same in zip(*(all for _, all in tried))]
+    left = [_left([dataclasses.replace(s, rows=rows) for s, rows in zip(all, common)]) for _, all in tried]
+    best = int(np.argmin(left))
+    return tried[best][0] if left[best] < CLEAR * left[0] else own
+
+
+def _power(series: Series, rows: np.ndarray) -> float:
+    """Sum of squares of the accelerations at some rows, every output in units of its own."""
+    return float(np.sum(series.a[rows] ** 2 / np.maximum(np.mean(series.a**2, axis=0), np.finfo(float).tiny)))
 
 
 def motion_and_lines(series: list[Series]) -> Float[np.ndarray, "rows columns"]:

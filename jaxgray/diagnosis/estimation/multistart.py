@@ -69,9 +69,8 @@ def attempts_of(
     names = {_name(scores[0]) for scores in listed}
     left = {_name(scores[0]): scores for scores in listed if names & set(_simpler(scores))}
     plain = [scores for scores in listed if _name(scores[0]) not in left]
-    fits, unlike = _outright(context, stage, plain, noise_model, rejected, best)
-    simple = {_name(scores[0]): scores[0] for scores in plain}
-    fits |= _from_wider(context, simple, fits, unlike, noise_model)
+    before, simple = len(rejected), {_name(scores[0]): scores[0] for scores in plain}
+    fits, _ = _outright(context, stage, plain, noise_model, rejected, best)
     bases: dict[tuple[str, str], _Base] = {}
     while left:
         # Beside one another, but for laws that go on from one of the others.
@@ -81,7 +80,7 @@ def attempts_of(
             name = next(name for name, base in base_of.items() if base is None)
             found, unlike = _outright(context, stage, [left.pop(name)], noise_model, rejected, best)
             fits |= found
-            fits |= _from_wider(context, simple, fits, unlike, noise_model)
+            fits |= _from_wider(context, simple, fits, unlike, noise_model, best)
             continue
         left = {name: scores for name, scores in left.items() if name not in now}
         for base in set(base_of.values()) - {*bases}:
@@ -92,6 +91,7 @@ def attempts_of(
                 rejected.append(end)
             else:
                 fits[name] = end
+    rejected[before:] = [one for one in rejected[before:] if (one.effect, one.location) not in fits]
     attempts: dict[tuple[str, str], Attempt] = {}
     for score, fit in _followed(context, fits | known, rejected).values():
         attempt = by_contact(context, Attempt(score, fit, noise_model_of(context, fit)), stage)
@@ -195,17 +195,18 @@ def _from_wider(
     fits: dict[tuple[str, str], tuple[Score, Refit]],
     unlike: dict[tuple[str, str], tuple[float, Refit]],
     noise_model: NoiseModel,
+    best: float,
 ) -> dict[tuple[str, str], tuple[Score, Refit]]:
-    """Simpler laws refitted from where a wider one became one of them, where that is ahead of what they came to
-    themselves: with more to move, the wider one found the way."""
+    """Simpler laws, given up by themselves, refitted from where a wider one became one of them and is ahead of all
+    others, and of a criterion: with more to move, the wider one found the way. Parameters of the same name begin with
+    its values."""
     found = {}
     for name, score in listed.items():
         wider = [one for key, one in unlike.items() if key[1] == name[1]]
         wider = [one for one in wider if name[0] in one[1].candidate.terms[-1].effect.contains]
         if not wider:
             continue
-        own = _criterion_under(context, *fits[name], noise_model) if name in fits else np.inf
-        reached = min([own, *(_criterion_under(context, *one, noise_model) for one in fits.values())])
+        reached = min([best, *(_criterion_under(context, *one, noise_model) for one in fits.values())])
         criterion, fit = min(wider, key=lambda one: one[0])
         if criterion > reached:
             continue

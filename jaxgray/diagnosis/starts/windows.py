@@ -48,6 +48,9 @@ BEGUN = 3
 FAR = 4.0
 """Squares left in a window, relative to the least of all, from which it is fitted again."""
 
+BETTER = 0.9
+"""Squares left in a window, relative to those before, from which its neighbours are fitted again from it."""
+
 CLEAR = 2
 """Windows left out on either side of a change."""
 
@@ -165,7 +168,7 @@ def _from_neighbours(
     """The windows, those left with more than `FAR` times the least refitted from each neighbour that fits better as
     well; the best end counts: from a start of large phase error a refit may end in another minimum. What got better
     passes on."""
-    least = FAR * min(window.left for window in windows)
+    least = FAR * min(_per_sample(window) for window in windows)
     news = set(range(len(windows)))
 
     def better(k: int) -> _Window:
@@ -174,12 +177,16 @@ def _from_neighbours(
         again = (_fitted(context, stage, noise_model, window.begin, window.data.samples, one) for one in near)
         return min([window, *filter(None, again)], key=lambda one: one.left)
 
-    while news:
-        late = [k for k in range(len(windows)) if windows[k].left > least and news & {k - 1, k + 1}]
+    for _ in range(len(windows)):
+        late = [k for k in range(len(windows)) if _per_sample(windows[k]) > least and news & {k - 1, k + 1}]
         found = dict(zip(late, side_by_side(better, late)))
-        news = {k for k, window in found.items() if window is not windows[k]}
+        news = {k for k, window in found.items() if window.left < BETTER * windows[k].left}
         windows = [found.get(k, window) for k, window in enumerate(windows)]
     return windows
+
+
+def _per_sample(window: _Window) -> float:
+    return window.left / max(int(window.data.kept.sum()), 1)
 
 
 def _fitted(

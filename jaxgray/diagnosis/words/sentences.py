@@ -30,10 +30,9 @@ def verdict_sentence(diagnosis: DiagnosisFields) -> str:
 
     **Returns:** a few sentences in one line.
     """
-    own = "Your model" if diagnosis.beside is None else "Your simulator"
-    subject = own if diagnosis.own_model else "The linear model"
+    subject = _subject(diagnosis)
     causes = [f for f in diagnosis.findings if f.stage == "model" and f.effect and f.status != "unexplained"]
-    parts = [_missed(diagnosis, subject)]
+    parts = [_missed(diagnosis, subject), _stands_in(diagnosis)]
     if causes:
         parts += _causes(diagnosis, causes)
         parts += [_altered(diagnosis, finding) for finding in causes]
@@ -52,6 +51,25 @@ def verdict_sentence(diagnosis: DiagnosisFields) -> str:
         if mended and not causes:
             parts += [_gain(diagnosis, mended)]
     return " ".join(part for part in parts if part)
+
+
+def _subject(diagnosis: DiagnosisFields) -> str:
+    """What is judged."""
+    if not diagnosis.own_model:
+        return "The linear model"
+    if diagnosis.simulated is not None:
+        return "Your simulation"
+    return "Your model" if diagnosis.beside is None else "Your simulator"
+
+
+def _stands_in(diagnosis: DiagnosisFields) -> str:
+    """What moves as a simulation does of which only the outputs are known; empty where there is none."""
+    if diagnosis.simulated is None:
+        return ""
+    names = diagnosis.baseline.model.output_names
+    laws = [_titled(one, names) for one in diagnosis.simulated.findings]
+    left = max(diagnosis.simulated.left_percent.values())
+    return f"It moves as M, D, K with {listed(laws) if laws else 'no other law'} ({max(left, 0.01):.2g} % left)."
 
 
 def _missed(diagnosis: DiagnosisFields, subject: str) -> str:
@@ -134,7 +152,8 @@ def _correction(finding: Finding, names: tuple[str, ...]) -> str:
     value = finding.parameters.get("value")
     if value is not None:
         given = plus_minus(value.value - delta.value)
-        return f"{what} is {value_text(value.value, value.standard_error, value.unit, digits=1)}, not {given}"
+        text = f"{what} is {value_text(value.value, value.standard_error, value.unit, digits=1)}, not {given}"
+        return text + _rivals(finding, names)
     size = value_text(abs(delta.value), delta.standard_error, delta.unit, digits=1)
     text = f"{what} should be {'higher' if delta.value > 0 else 'lower'} by {size}"
     return text + _rivals(finding, names)
