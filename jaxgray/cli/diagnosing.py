@@ -47,7 +47,7 @@ def diagnose(
     files.check_holdout(channels)
     files.check_places(output.json, reporting.report, diagnosing.experiment)
     checked(fitting, diagnosing)
-    check_simulator(simulating, diagnosing)
+    check_simulator(simulating, diagnosing, excitation, fitting)
     options = subspace_options(excitation)
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
@@ -130,12 +130,18 @@ def checked(fitting: Fitting, diagnosing: Diagnosing) -> None:
         raise ValueError(f"--seed={diagnosing.seed} is negative; give a whole number from 0.")
 
 
-def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing) -> None:
+def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing, excitation: Excitation, fitting: Fitting) -> None:
     """Raise `ValueError` for options of a simulator that do not go together."""
     if simulating.simulator is not None and diagnosing.model is not None:
         raise ValueError("--simulator and --model are two things to judge; give one of them.")
     if simulating.simulated is not None and (simulating.simulator, diagnosing.model) != (None, None):
         raise ValueError("--simulated is judged in the place of --simulator or --model; give one of them.")
+    if simulating.simulator is not None:
+        for group, usual in ((excitation, Excitation()), (fitting, Fitting())):
+            for name, value in vars(group).items():
+                if value != getattr(usual, name):
+                    option = "--" + name.replace("_", "-")
+                    raise ValueError(f"{option} is about a model that is fitted; leave it out with --simulator.")
     if simulating.simulator is None and simulating.parameters is not None:
         raise ValueError("--parameters are those of a simulator; give --simulator FILE.py:FUNCTION as well.")
     if simulating.workers < 1:

@@ -152,6 +152,9 @@ def simulator(text: str):
         made = importlib.import_module(module)
     except Exception as error:
         raise ValueError(f"--simulator={text}: {path} raised {type(error).__name__}: {error}") from error
+    there = getattr(made, "__file__", None)
+    if there is None or not Path(there).samefile(path):
+        raise ValueError(f"--simulator={text}: Python has another module of the name {module}; rename the file.")
     if not callable(getattr(made, name, None)):
         raise ValueError(f"--simulator={text}: {path} has no function {name}.")
     return getattr(made, name)

@@ -332,4 +332,12 @@ def test_a_simulator_that_is_not_there_is_said_to_be(capsys, tmp_path, records):
     fails(capsys, [*given, "--parameters", "gain"], "'gain'", "NAME=X")
     fails(capsys, [*given, "--workers", "0"], "--workers=0")
     fails(capsys, [*given, "--model", program], "--simulator and --model")
+    fails(capsys, [*given, "--structure", "chain"], "--structure is about a model that is fitted")
+    fails(capsys, [*given, "--input-map", "u1:y1"], "--input-map is about a model that is fitted")
+    known = tmp_path / "select.py"
+    known.write_text("def simulate(u, w, numbers):\n    return u\n")
+    fails(capsys, [*diagnose, "--simulator", f"{known}:simulate"], "another module of the name select; rename")
+    simulated = [*diagnose, "--simulated", CHANNELS[3]]
+    fails(capsys, [*simulated, "--model", program], "--simulated is judged in the place of")
+    fails(capsys, [*diagnose, "--simulated", ","], "--simulated is empty")
     fails(capsys, [*diagnose, "--parameters", "gain=1"], "--parameters are those of a simulator")

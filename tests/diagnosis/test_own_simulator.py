@@ -1,6 +1,8 @@
 """A user's own simulator on trial: wrong numbers and a law that it lacks, from data of its own equations with the truth
 in them; and every way in which it can fail."""
 
+import os
+
 import numpy as np
 import pendulum
 import pytest
@@ -105,9 +107,13 @@ def test_a_number_takes_a_force_along_the_motion():
 
 
 def broken(how):
+    chance = np.random.default_rng(0)
+
     def simulate(u, w, numbers):
         if how == "raises":
             raise RuntimeError("solver did not converge")
+        if how == "chance":
+            return pendulum.simulator(u, w, numbers) + 1e-4 * chance.standard_normal(len(u))
         return {"shape": np.zeros(3), "nan": np.full(len(u), np.nan), "still": np.zeros(len(u))}[how]
 
     return simulate
@@ -120,13 +126,15 @@ def broken(how):
         ("shape", r"outputs of shape \(3, 1\), not \(1500, 1\)"),
         ("nan", "not finite from sample 0 on"),
         ("still", "do not answer to the forces w"),
+        ("chance", "outputs that differ by .* for the same inputs"),
     ],
 )
-def test_a_simulator_that_fails_is_said_to(how, said):
+def test_a_simulator_that_fails_is_said_to(how, said, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     record, numbers = measured()
     with pytest.raises(ComputationError, match=said) as caught:
         jaxgray.diagnose(record, simulator=broken(how), parameters=numbers)
-    if how != "still":
+    if how not in ("still", "chance"):
         path = str(caught.value).partition("are in ")[2].partition(". ")[0]
         with np.load(path) as saved:
             assert np.array_equal(saved["u"], record.u) and list(saved["names"]) == list(numbers)
@@ -139,6 +147,7 @@ def test_a_simulator_that_fails_is_said_to(how, said):
         ({"simulator": pendulum.simulator, "parameters": [1.0]}, "give the simulator's numbers by name"),
         ({"simulator": pendulum.simulator, "parameters": {"inertia": "heavy"}}, "'inertia'.*'heavy'; give a finite"),
         ({"simulator": pendulum.simulator, "workers": 0}, "workers=0; give a whole number"),
+        ({"simulator": lambda u, w, numbers: u, "workers": 2}, "other processes cannot have it"),
         ({"simulator": pendulum.simulator, "structure": "chain"}, "structure given with a simulator"),
         ({"parameters": {"inertia": 1.0}}, "parameters are those of a simulator"),
     ],
@@ -159,10 +168,61 @@ def test_numbers_come_by_name():
     assert checked_numbers({"a": 1, "b": np.float64(2)}) == {"a": 1.0, "b": 2.0} and checked_numbers(None) == {}
 
 
+def dies(u, w, numbers):
+    os._exit(3)
+
+
 def test_calls_run_side_by_side():
-    simulator = Simulator(pendulum.simulator, tuple(pendulum.TRUTH), 1, workers=2)
     u = pendulum.torque(100, np.random.default_rng(0))[:, None]
     values = np.array(list(pendulum.TRUTH.values()))
     calls = [Call(u, 0 * u, values), Call(u, 0 * u, 1.1 * values)]
-    one, other = simulator.runs(calls)
-    assert np.array_equal(one[:, 0], pendulum.run(u[:, 0])) and not np.allclose(one, other) and simulator.count == 2
+    with Simulator(pendulum.simulator, tuple(pendulum.TRUTH), 1, workers=2) as simulator:
+        one, other = simulator.runs(calls)
+        again, _ = simulator.runs(calls)
+    assert np.array_equal(one[:, 0], pendulum.run(u[:, 0])) and not np.allclose(one, other) and simulator.count == 4
+    assert np.array_equal(one, again)
+    with Simulator(dies, tuple(pendulum.TRUTH), 1, workers=2) as simulator:
+        assert all("process that ran it died" in failure.text for failure in simulator.runs(calls))
+
+
+def spring(u, w, numbers):
+    """A mass on a spring that begins at rest, or where its numbers say; no more than 1 of an efficiency."""
+    if numbers.get("efficiency", 1.0) > 1.0:
+        raise ValueError("an efficiency is at most 1")
+    A = np.array([[0.0, 1.0], [-40.0 - numbers.get("more", 0.0), -1.5]])
+    system = scipy.signal.cont2discrete((A, np.array([[0.0], [1.0]]), np.eye(1, 2), np.zeros((1, 1))), H)
+    force = numbers.get("efficiency", 1.0) * u[:, 0] + w[:, 0]
+    return scipy.signal.dlsim(system, force, x0=[numbers.get("first", 0.0), 0.0])[1]
+
+
+def pushed(y, u, seed=0):
+    rng = np.random.default_rng(seed)
+    return jaxgray.Record(u, y + 0.003 * y.std() * rng.standard_normal(y.shape), H)
+
+
+def test_a_number_that_cannot_be_more_is_tried_with_less():
+    u = pendulum.torque(SAMPLES, np.random.default_rng(3), highest=10.0)[:, None]
+    record = pushed(spring(0.9 * u, 0 * u, {}), u)
+    found = jaxgray.diagnose(record, simulator=spring, parameters={"efficiency": 1.0}, only="cubic_stiffness")
+    (shift,) = found.shifts
+    assert abs(shift.after - 0.9) < 4 * shift.standard_error < 0.01
+    assert [finding.location for finding in found.findings if finding.stage == "model"] == ["efficiency"]
+
+
+def test_a_record_that_begins_elsewhere_is_no_fault_of_the_simulator():
+    u = pendulum.torque(SAMPLES, np.random.default_rng(5), highest=10.0)[:, None]
+    record = pushed(spring(u, 0 * u, {"first": 0.2}), u)
+    found = jaxgray.diagnose(record, simulator=spring, parameters={"more": 0.0}, only="cubic_stiffness")
+    assert found.verdict == "noise" and not found.findings and found.baseline_excess < 1.05
+    assert any("does not begin where the simulator does" in text for text in found.warnings)
+
+
+def test_a_number_that_says_nothing_has_no_error():
+    u = pendulum.torque(SAMPLES, np.random.default_rng(6), highest=10.0)[:, None]
+    record = pushed(spring(u, 0 * u, {"more": 1.0}), u)
+    given = {"more": 0.0, "idle": 3.0}
+    found = jaxgray.diagnose(record, simulator=spring, parameters=given, only="cubic_stiffness")
+    more, idle = found.shifts
+    assert abs(more.after - 1.0) < 4 * more.standard_error < 0.1
+    assert idle.after == 3.0 and idle.standard_error is None
+    assert any("does not determine idle" in text for text in found.warnings)

@@ -1,12 +1,16 @@
 """A user's simulator as it is called: one record a call, several calls side by side, every failure with its inputs."""
 
 import concurrent.futures
+import contextlib
 import multiprocessing
 import pathlib
+import pickle
+import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -38,25 +42,39 @@ class Simulator:
     """A simulator with the names of its numbers.
 
     `function`; `names`; `outputs`: how many it must give; `workers`: processes that run it, 1 for this one alone;
-    `count`: calls so far.
+    `count`: calls so far. As a context it ends its processes.
     """
 
     function: Simulation
     names: tuple[str, ...]
     outputs: int
     workers: int = 1
-    count: int = field(default=0)
+    count: int = 0
+    _pool: concurrent.futures.ProcessPoolExecutor | None = field(default=None, repr=False)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
 
     def run(self, call: Call) -> Float[np.ndarray, "samples outputs"]:
         """The outputs of one call.
 
         **Raises:** `ComputationError` where it fails; its message says where the inputs are.
         """
-        made = self.runs([call])[0]
+        return self.finished(call, self.runs([call])[0])
+
+    def finished(self, call: Call, made: np.ndarray | Failure) -> Float[np.ndarray, "samples outputs"]:
+        """What a call came to.
+
+        **Raises:** `ComputationError` where it failed; its message says where the inputs are.
+        """
         if isinstance(made, Failure):
-            raise ComputationError(
-                RESULTS.simulator_failed, stage="simulator", detail=f"{made.text}; {self._saved(call)}"
-            )
+            detail = f"{made.text}; {self._saved(call)}"
+            raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
         return made
 
     def tried(self, call: Call) -> Float[np.ndarray, "samples outputs"] | None:
@@ -70,10 +88,19 @@ class Simulator:
         parts = [(self.function, call, self.names, self.outputs) for call in calls]
         if self.workers == 1 or len(calls) == 1:
             return [_made(*part) for part in parts]
-        # Spawned: a fork would copy the threads of JAX in whatever state they are.
-        context = multiprocessing.get_context("spawn")
-        with concurrent.futures.ProcessPoolExecutor(min(self.workers, len(calls)), mp_context=context) as pool:
-            return list(pool.map(_made, *zip(*parts)))
+        if self._pool is None:
+            # Spawned: a fork would copy the threads of JAX in whatever state they are.
+            context, wide = multiprocessing.get_context("spawn"), jax.config.jax_enable_x64
+            self._pool = concurrent.futures.ProcessPoolExecutor(
+                self.workers, mp_context=context, initializer=_as_here, initargs=(wide,)
+            )
+        waiting = [self._pool.submit(_made, *part) for part in parts]
+        try:
+            return [one.result() for one in waiting]
+        except concurrent.futures.BrokenExecutor:
+            self._pool = None
+            text = "the process that ran it died; it must be importable, and its script guarded by __main__"
+            return [Failure(text)] * len(calls)
 
     def _saved(self, call: Call) -> str:
         folder = pathlib.Path(tempfile.mkdtemp(prefix="jaxgray-simulator-"))
@@ -82,10 +109,17 @@ class Simulator:
         return f"its inputs u, w, names and numbers are in {path}"
 
 
+def _as_here(wide: bool) -> None:
+    """Floats in another process as wide as in this one."""
+    jax.config.update("jax_enable_x64", wide)
+
+
 def _made(function: Simulation, call: Call, names: tuple[str, ...], outputs: int) -> np.ndarray | Failure:
     numbers = dict(zip(names, map(float, call.numbers)))
     try:
-        y = np.asarray(function(call.u.copy(), call.w.copy(), numbers), dtype=float)
+        # What it prints is no part of a result that is written there; what it keeps may change with its next run.
+        with contextlib.redirect_stdout(sys.stderr):
+            y = np.array(function(call.u.copy(), call.w.copy(), numbers), dtype=float)
     except Exception as error:  # Whatever a user's function raises is what it says of these inputs.
         return Failure(f"it raised {type(error).__name__}: {error}")
     y = y[:, None] if y.ndim == 1 else y
@@ -94,6 +128,22 @@ def _made(function: Simulation, call: Call, names: tuple[str, ...], outputs: int
     if not np.all(np.isfinite(y)):
         return Failure(f"its outputs are not finite from sample {int(np.argmin(np.isfinite(y).all(axis=1)))} on")
     return y
+
+
+def checked_function(function: Simulation, workers: int) -> None:
+    """Raise `ValueError` for what is no function, or one that other processes cannot have."""
+    if not callable(function):
+        raise ValueError(f"simulator={function!r}; give a function of inputs, forces and numbers.")
+    if not isinstance(workers, int) or workers < 1:
+        raise ValueError(f"workers={workers!r}; give a whole number, 1 or more.")
+    if workers > 1:
+        try:
+            pickle.dumps(function)
+        except Exception as error:
+            raise ValueError(
+                f"workers={workers} and simulator={function!r}: other processes cannot have it ({error}); define it at "
+                "the top of a module, or leave workers at 1."
+            ) from None
 
 
 def checked_numbers(parameters: Mapping[str, float] | None) -> dict[str, float]:

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from ...numerics.text import listed
 from .. import settings
 from ..acceptance import unproven
 from ..conclusions.assembly import accepted_names, findings_of, not_found_of, summary_of
@@ -21,6 +22,9 @@ from .problem import Problem, Runs
 from .settling import Settled, with_numbers
 
 UNSETTLED = "The laws and numbers still moved in the last run of the simulator"
+
+SURE = 5.0
+"""Standard errors by which a record begins in another state than its run, for sure."""
 
 
 def diagnosis_of(
@@ -43,29 +47,36 @@ def diagnosis_of(
     settled, state = every[-1], joined(states)
     records = [span.record[span.fit] for span in problem.spans if span.fit is not None]
     held = [span.record[span.held] for span in problem.spans if span.held is not None]
-    before, after = (parts_of(problem, y) for y in (baseline.y, settled.y))
+    given, elsewhere = problem.begun(baseline.y), _begins_elsewhere(settled)
+    shown = given if elsewhere else baseline.y
+    before, after = (parts_of(problem, y) for y in (shown, settled.y))
     floor, source = independent_floor(records[0])
     floor = rms_of(after[0]) if floor is None else floor
 
     def gain(one: Outputs, other: Outputs) -> Gain:
-        return gain_between(problem, context, one, other, baseline.y, floor)
+        return gain_between(problem, context, one, other, given, floor)
 
     context = dataclasses.replace(context, simulator=settled.linear, data=list(settled.data))
-    plain = nearer(problem, fitted.y, baseline.y)
+    plain = nearer(problem, problem.begun(fitted.y), given)
     steps = [plain, *(one.y for one in every)] if state.accepted else [settled.y]
     for k, accepted in enumerate(state.accepted):
         state.accepted[k] = dataclasses.replace(accepted, gain=gain(steps[k], steps[k + 1]))
-    whole = gain(baseline.y, settled.y)
+    whole = gain(given, settled.y)
     state.fit = settled.fit
     laws = list(findings_of(context, state, records[0])) if state.accepted else []
     # In shares of what the laws leave with the numbers as they were.
-    as_given = with_numbers(problem, settled, start) or baseline.y
-    mended = gain_between(problem, context, as_given, settled.y, as_given, floor)
-    numbers = _numbers(problem, settled, start, mended, sum(map(len, records)))
-    findings = numbers + laws
     left = overall(rms_of(after[0]), floor)
-    lost = state.accepted and overall(rms_of(after[0]), rms_of(_linear_runs(context, state))) >= settings.MIN_EXCESS
-    unexplained = state.unexplained or bool(lost) or (source != ADOPTED and left >= settings.MIN_EXCESS)
+    # What the linear plant foresaw and the simulator does not keep.
+    foreseen = [FreeRun(e, e, d.kept) for e, d in zip(settled.fit.residual, settled.data)]
+    lost = overall(rms_of(after[0]), rms_of(foreseen)) >= settings.MIN_EXCESS
+    unexplained = state.unexplained or lost or (source != ADOPTED and left >= settings.MIN_EXCESS)
+    warnings = _warnings(problem, settled, start, elsewhere, unexplained)
+    as_given = None if unexplained else with_numbers(problem, settled, start)
+    numbers = []
+    if as_given is not None:
+        mended = gain_between(problem, context, as_given, settled.y, as_given, floor)
+        numbers = _numbers(problem, settled, start, mended, sum(map(len, records)))
+    findings = numbers + laws
     if unexplained:
         verdict = "partly" if findings else "unexplained"
     else:
@@ -79,9 +90,6 @@ def diagnosis_of(
     if numbers or laws:
         extended = summary_of(problem.linear_model(settled.candidate.terms), None, after[0][0], after[1], records, held)
     noise = () if unexplained else noise_findings(records[0], after[0][0].e)
-    warnings = ()
-    if not settled.still:
-        warnings += (f"{UNSETTLED}: their errors may be larger than is said.",)
     return Diagnosis(
         verdict=verdict,
         baseline=summary_of(model, None, before[0][0], before[1], records, held),
@@ -103,7 +111,7 @@ def diagnosis_of(
         warnings=warnings,
         records=tuple(records),
         validation_records=tuple(held),
-        curves=_curves(problem, baseline.y, settled.y),
+        curves=_curves(problem, shown, settled.y),
         identification=None,
         terms=settled.candidate.terms,
         own_model=True,
@@ -133,6 +141,40 @@ def _errors(settled: Settled) -> np.ndarray:
     return np.sqrt(np.maximum(np.diag(settled.fit.covariance)[:count], 0.0))
 
 
+def _begins_elsewhere(settled: Settled) -> bool:
+    """Whether some record of the fit surely begins in another state than its run of the simulator."""
+    first, errors = len(settled.candidate.entries), np.sqrt(np.maximum(np.diag(settled.fit.covariance), 0.0))
+    for x0, there in zip(settled.candidate.x0, settled.wholes.states):
+        spread = errors[first : first + len(x0)]
+        first += len(x0)
+        if np.any((np.abs(x0 - there) > SURE * spread) & (spread > 0)):
+            return True
+    return False
+
+
+def _warnings(
+    problem: Problem, settled: Settled, start: np.ndarray, elsewhere: bool, unexplained: bool
+) -> tuple[str, ...]:
+    """What is to be known of the numbers; `elsewhere`: whether a record begins in another state than its run."""
+    names, entries, warnings = problem.simulator.names, settled.candidate.entries, []
+    if not settled.still:
+        warnings.append(f"{UNSETTLED}: their errors may be larger than is said.")
+    if elsewhere:
+        warnings.append(
+            "The record does not begin where the simulator does: its first state was fitted, to first order; put it "
+            "among the numbers where it is large."
+        )
+    moved = np.abs(entries - start) > 3 * np.maximum(_errors(settled), 1e-12)
+    if unexplained and np.any(moved):
+        which = listed(name for name, one in zip(names, moved) if one)
+        warnings.append(f"Beside what is not explained, {which} would be other: no finding, since they make up for it.")
+    loose = settled.fit.undetermined[: len(entries)] | settled.linear.setup.held
+    if np.any(loose):
+        which = listed(name for name, one in zip(names, loose) if one)
+        warnings.append(f"This record does not determine {which}: excite what they act on, or leave them out.")
+    return tuple(warnings)
+
+
 def _numbers(problem: Problem, settled: Settled, start: np.ndarray, gain: Gain, samples: int) -> list[Finding]:
     """Findings of the numbers that are off for sure, and whose correction surely gains."""
     if unproven(gain) is not None:
@@ -156,10 +198,11 @@ def _numbers(problem: Problem, settled: Settled, start: np.ndarray, gain: Gain, 
 def _shifts(problem: Problem, settled: Settled, start: np.ndarray) -> tuple[ParameterShift, ...]:
     """Every number as it was given and as it is fitted."""
     values = zip(problem.simulator.names, start * problem.units, settled.candidate.entries * problem.units)
-    errors = _errors(settled) * np.abs(problem.units)
-    return tuple(
-        ParameterShift(name, float(old), float(new), float(error)) for (name, old, new), error in zip(values, errors)
-    )
+    errors = [
+        None if loose or error == 0.0 else float(error)
+        for error, loose in zip(_errors(settled) * np.abs(problem.units), settled.fit.undetermined)
+    ]
+    return tuple(ParameterShift(name, float(old), float(new), error) for (name, old, new), error in zip(values, errors))
 
 
 def _budget(steps: list[Parts], state: SearchState, floor: np.ndarray, unexplained: bool) -> dict[str, float]:
@@ -181,9 +224,3 @@ def _curves(problem: Problem, before: tuple[np.ndarray, ...], after: tuple[np.nd
                 record = span.record[part]
                 made.append(Curves(record.time, record.y, old[part], new[part], held_out))
     return tuple(made)
-
-
-def _linear_runs(context: SearchContext, state: SearchState) -> list[FreeRun]:
-    """What the search left in the linear plant."""
-    last = state.accepted[-1].attempt.fit
-    return [FreeRun(e, e, d.kept) for e, d in zip(last.residual, context.data)]

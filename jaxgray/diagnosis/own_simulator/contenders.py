@@ -8,12 +8,17 @@ from ...numerics.outcomes import ComputationError
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit
-from ..estimation.multistart import Attempt
+from ..estimation.multistart import Attempt, unresolved
+from ..estimation.significance import at_bound, significance
 from ..findings import Gain, Reason
 from ..model.candidate import estimated
-from ..model.free_run import FreeRun, rms_of
+from ..model.free_run import rms_of
+from ..model.parameter_vector import Layout
 from ..noise.effective_samples import independent_share
+from ..screening.score_test import Score
+from ..search.confusable import alike
 from ..search.state import Accepted, SearchState
+from .gains import parts_of
 from .problem import Linear, Problem
 from .settling import Settled, settle
 
@@ -57,42 +62,57 @@ def chosen(
     **Raises:** `ComputationError` where the simulator runs with none of them.
     """
     settled: dict[tuple[str, str], Settled] = {}
+    known = state.first.best_by_place() | {one.name: one.score for one in (accepted.attempt, *accepted.rivals)}
     failure = None
     for name, fit in _contenders(state, accepted):
         context.progress.unlimited.stage(f"trying {name[0]} at {name[1]} in the simulator")
         try:
-            settled[name] = settle(problem, context, fit, wholes)
+            one = settle(problem, context, fit, wholes)
         except ComputationError as error:
             failure = error
+            continue
+        if name == accepted.attempt.name or _sound(one, known.get(name)):
+            settled[name] = one
     if not settled:
         raise failure
     criteria = _criteria(problem, settled)
     best = min(criteria, key=criteria.__getitem__)
     first = criteria.get(accepted.attempt.name, criteria[best])
-    known = state.first.best_by_place() | {one.name: one.score for one in (accepted.attempt, *accepted.rivals)}
 
     def attempt(name: tuple[str, str]) -> Attempt:
         fit, delta = settled[name].fit, accepted.attempt.delta_bic + first - criteria[name]
-        score = accepted.attempt.score if name not in known else known[name]
-        return Attempt(score, fit, noise_model_of(context, fit), criteria[name], delta_bic=delta)
+        return Attempt(known[name], fit, noise_model_of(context, fit), criteria[name], delta_bic=delta)
 
-    near = [name for name in criteria if 0 <= criteria[name] - criteria[best] < settings.CLASS_DELTA_BIC]
-    rivals = sorted((name for name in near if name != best and name in known), key=criteria.__getitem__)
-    made = dataclasses.replace(
-        accepted, attempt=attempt(best), rivals=tuple(attempt(name) for name in rivals[:MOST_RIVALS])
-    )
-    return made, settled[best]
+    first_of = attempt(best)
+    others = [attempt(name) for name in sorted(criteria, key=criteria.__getitem__) if name != best]
+    near = [other for other in others if other.criterion - first_of.criterion < alike(first_of, other)]
+    return dataclasses.replace(accepted, attempt=first_of, rivals=tuple(near[:MOST_RIVALS])), settled[best]
+
+
+def _sound(settled: Settled, score: Score | None) -> bool:
+    """Whether nothing but its gain could speak against a law where it ended."""
+    if score is None:
+        return False
+    last = len(settled.candidate.terms) - 1
+    size = significance(settled.fit, Layout(settled.linear.setup, settled.candidate), last)
+    if size < settings.MIN_STANDARD_ERRORS_IF_CLEAR or at_bound(settled.fit, last) is not None:
+        return False
+    return unresolved(settled.fit, score) is None
 
 
 def _contenders(state: SearchState, accepted: Accepted) -> list[tuple[tuple[str, str], Refit]]:
-    """Names and refits of laws of the last round: what was accepted, then what leaves least."""
+    """Names and refits of laws of the last round: what was accepted, its rivals, then what leaves least."""
     own = accepted.attempt
     refused = {(one.effect, one.location) for one in state.rejected if one.reason not in BEHIND}
-    fits = {rival.name: rival.fit for rival in accepted.rivals}
-    fits |= {name: fit for name, fit in state.tried.items() if name not in refused and name != own.name}
+    rivals = {rival.name: rival.fit for rival in accepted.rivals}
+    fits = rivals | {name: fit for name, fit in state.tried.items() if name not in refused and name != own.name}
     count = len(own.fit.candidate.terms)
     fits = {name: fit for name, fit in fits.items() if len(fit.candidate.terms) == count and _name(fit) == name}
-    ranked = sorted(fits, key=lambda name: float(np.sum(fits[name].residual[0] ** 2)))
+
+    def left(name: tuple[str, str]) -> float:
+        return float(np.sum(np.log(np.maximum(sum(np.sum(e**2, axis=0) for e in fits[name].residual), 1e-300))))
+
+    ranked = sorted(fits, key=lambda name: (name not in rivals, left(name)))
     return [(own.name, own.fit), *((name, fits[name]) for name in ranked[: MOST - 1])]
 
 
@@ -103,7 +123,7 @@ def _name(fit: Refit) -> tuple[str, str]:
 
 def _criteria(problem: Problem, settled: dict[tuple[str, str], Settled]) -> dict[tuple[str, str], float]:
     """N ln(cost) + k ln N of runs of the simulator, with as many samples as are independent in the best."""
-    runs = {name: _runs(problem, one) for name, one in settled.items()}
+    runs = {name: parts_of(problem, one.y)[0] for name, one in settled.items()}
     left = {name: float(np.sum(np.log(rms_of(made) ** 2))) for name, made in runs.items()}
     best = runs[min(left, key=left.__getitem__)]
     share = independent_share(max((run.e[run.kept.all(axis=1)] for run in best), key=len))
@@ -112,7 +132,3 @@ def _criteria(problem: Problem, settled: dict[tuple[str, str], Settled]) -> dict
         name: count * left[name] + len(estimated(one.candidate.terms[-1])) * float(np.log(count))
         for name, one in settled.items()
     }
-
-
-def _runs(problem: Problem, settled: Settled) -> list[FreeRun]:
-    return [span.run(y, span.fit) for span, y in zip(problem.spans, settled.y) if span.fit is not None]

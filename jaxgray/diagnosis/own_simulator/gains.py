@@ -29,14 +29,15 @@ def gain_between(
     after: Outputs,
     baseline: Outputs,
     floor: np.ndarray | None = None,
+    local: bool = False,
 ) -> Gain:
     """Gain from some runs to others, on held-out data where there are such.
 
     **Arguments:** `problem`; `context`; the runs, and those with the numbers as they were given; `floor`: noise per
-    output, default what is left after.
+    output, default what is left after; `local`: of a law that no other record shows.
     """
     every = [parts_of(problem, y) for y in (before, after, baseline)]
-    held_out = bool(every[0][1])
+    held_out = bool(every[0][1]) and not local
     floor = rms_of(every[1][0]) if floor is None else floor
     runs, seen = (tuple(parts[k] for parts in every) for k in (held_out, False))
     return gain_of(*runs, floor, problem.record.output_names, held_out=held_out, rng=context.rng, seen=seen)

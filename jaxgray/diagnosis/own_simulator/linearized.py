@@ -143,7 +143,8 @@ def linearized(
     """
     dofs, h = record.outputs, record.sampling_time
     size = np.maximum(np.std(y, axis=0), 1e-12 * max(float(np.std(y)), 1e-300))
-    force = max(float(np.sqrt(np.mean(call.u**2))), 1e-300)
+    # Where nothing acts, any force: its size is found by what answers.
+    force = float(np.sqrt(np.mean(call.u**2))) or 1.0
 
     def by_forces(change):
         return Call(call.u, call.w + change, call.numbers)
@@ -176,14 +177,20 @@ def linearized(
 
 def _answered(simulator: Simulator, changed, change, y, size) -> tuple[np.ndarray, np.ndarray]:
     """A change of fit size, and the answer to it."""
-    scale = ANSWER
+    scale, tried = ANSWER, None
     for _ in range(ATTEMPTS):
-        answer = simulator.run(changed(scale * change)) - y
-        share = float(np.sqrt(np.mean((answer / size) ** 2)))
+        call = changed(scale * change)
+        made = simulator.tried(call)
+        if made is None:
+            # Too much for it, maybe.
+            scale /= WITHIN**2
+            continue
+        tried = scale * change, made - y
+        share = float(np.sqrt(np.mean((tried[1] / size) ** 2)))
         if ANSWER / WITHIN < share < ANSWER * WITHIN or share == 0.0:
             break
         scale *= ANSWER / share
-    return scale * change, answer
+    return tried if tried is not None else (scale * change, simulator.run(changed(scale * change)) - y)
 
 
 def around(w: np.ndarray, hold: str) -> np.ndarray:

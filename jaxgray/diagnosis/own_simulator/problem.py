@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...mechanics.drives import Force
 from ...mechanics.effects.base import AbstractForceEffect, AbstractOutputEffect, Term
@@ -22,11 +22,14 @@ from .tracking import as_linear, forces_by_number
 STEP = 1e-3
 """Step of a number for its slope, in units of it."""
 
-SEEN = 1e-4
-"""Answer to the step of a number that was given as 0, relative to the motion."""
+SEEN = 0.1
+"""Answer to a number that was given as 0, as it counts for one of size, relative to the motion."""
 
 SIZES = 10.0 ** np.arange(-6, 7)
 """Sizes that a number given as 0 may have."""
+
+IDLE = 1e-9
+"""Slope of the outputs by a number, relative to the motion, up to which it is rounding."""
 
 RUN_AWAY = 1e3
 """Motion relative to that of the record beyond which a run counts as none."""
@@ -39,6 +42,10 @@ class Span:
     record: Record
     fit: slice | None
     held: slice | None
+
+    def far(self, y: Float[np.ndarray, "samples outputs"]) -> bool:
+        """Whether a run goes far beyond the motion of the record."""
+        return not np.all(np.max(np.abs(y), axis=0) <= RUN_AWAY * np.nanmax(np.abs(self.record.y), axis=0))
 
     def run(self, y: Float[np.ndarray, "samples outputs"], part: slice) -> FreeRun:
         """A run of the whole record as one of a part of it."""
@@ -58,14 +65,15 @@ class Runs:
 
 @dataclass
 class Problem:
-    """What a diagnosis works on: `simulator`, `spans`, `units` of the numbers (values of entry 1), and, once they are
-    known, the linear `plant` and `laws`: force laws of the catalogue."""
+    """What a diagnosis works on: `simulator`, `spans`, `units` of the numbers (values of entry 1), `laws`: force laws
+    of the catalogue; and, once they are known, the linear `plant` and which numbers are `idle`: they move no output."""
 
     simulator: Simulator
     spans: tuple[Span, ...]
     units: Float[np.ndarray, " numbers"]
     laws: tuple[AbstractForceEffect, ...]
     plant: Linearized | None = None
+    idle: Bool[np.ndarray, " numbers"] | None = None
 
     @property
     def record(self) -> Record:
@@ -77,7 +85,8 @@ class Problem:
 
         **Raises:** `ComputationError` where one fails.
         """
-        return Runs(tuple(calls), tuple(self.simulator.run(call) for call in calls))
+        made = self.simulator.runs(calls)
+        return Runs(tuple(calls), tuple(self.simulator.finished(call, y) for call, y in zip(calls, made)))
 
     def tried(self, calls: list[Call] | None) -> Runs | None:
         """Runs of all spans, None where there are no calls, or one fails or runs away."""
@@ -86,8 +95,8 @@ class Problem:
         made = self.simulator.runs(calls)
         if any(isinstance(y, Failure) for y in made):
             return None
-        far = [np.max(np.abs(y)) > RUN_AWAY * np.nanmax(np.abs(span.record.y)) for span, y in zip(self.spans, made)]
-        return None if any(far) else Runs(tuple(calls), tuple(made))
+        far = any(span.far(y) for span, y in zip(self.spans, made))
+        return None if far else Runs(tuple(calls), tuple(made))
 
     def called(self, entries: Float[np.ndarray, " numbers"], like: Runs | None = None) -> list[Call]:
         """Calls with these numbers, with the inputs and forces of other runs, by default the records' and none."""
@@ -98,18 +107,29 @@ class Problem:
 
     def slopes(self, runs: Runs, entries: Float[np.ndarray, " numbers"]) -> list[np.ndarray]:
         """Slopes of the outputs of runs by the entries, by finite differences."""
-        calls = []
-        for step in STEP * np.eye(len(entries)):
-            calls += self.called(entries + step, runs)
-        made = self.simulator.runs(calls)
-        for y, call in zip(made, calls):
-            if isinstance(y, Failure):
-                self.simulator.run(call)
+        count, steps = len(self.spans), STEP * np.eye(len(entries))
+        calls = [call for step in steps for call in self.called(entries + step, runs)]
+        made, signs = self.simulator.runs(calls), np.ones(len(entries))
+        for j, step in enumerate(steps):
+            here = slice(j * count, (j + 1) * count)
+            if any(isinstance(y, Failure) for y in made[here]):
+                # What more of a number is too much for, as of an efficiency of one, less may not be.
+                signs[j] = -1.0
+                less = self.called(entries - step, runs)
+                again = self.simulator.runs(less)
+                worse = any(isinstance(y, Failure) for y in again)
+                failed = zip(calls[here], made[here]) if worse else zip(less, again)
+                made[here] = [self.simulator.finished(call, y) for call, y in failed]
         result = []
         for k, y in enumerate(runs.y):
-            columns = [(made[j * len(self.spans) + k] - y) / STEP for j in range(len(entries))]
+            columns = [(made[j * count + k] - y) / (signs[j] * STEP) for j in range(len(entries))]
             result.append(np.stack(columns, axis=2) if columns else np.zeros((*y.shape, 0)))
         return result
+
+    def idle_by(self, slopes: list[np.ndarray]) -> Bool[np.ndarray, " numbers"]:
+        """Which numbers move no output of the records."""
+        size = [np.nanstd(span.record.y, axis=0)[:, None] for span in self.spans]
+        return np.all([np.all(np.abs(S) <= IDLE * one, axis=(0, 1)) for S, one in zip(slopes, size)], axis=0)
 
     def with_forces(self, runs: Runs) -> Runs:
         """Runs with the forces that the numbers take along their motion."""
@@ -139,7 +159,7 @@ class Problem:
             measured=record.measured,
             scaling=None,
             structure=OwnNumbers(count),
-            held=np.zeros(count, bool),
+            held=np.zeros(count, bool) if self.idle is None else self.idle,
             input_names=record.input_names,
             output_names=record.output_names,
             plant=FixedMatrices(plant.mass, plant.damping, plant.stiffness),
@@ -185,22 +205,43 @@ class Problem:
         """The parts of records for the linear plant that the fit sees."""
         return [Data.of(r[span.fit]) for r, span in zip(wholes.records, self.spans) if span.fit is not None]
 
-    def with_laws(self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear") -> list[Call] | None:
-        """Calls with the laws of a candidate: the changed inputs, and the forces that the laws make along the motion of
-        the linear plant; None where that runs away."""
-        candidate, calls = wholes.extended(candidate), []
+    def with_laws(
+        self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear"
+    ) -> tuple[list[Call], list[np.ndarray]] | None:
+        """Calls with the laws of a candidate, and the motion of the linear plant: the changed inputs, and the forces
+        that the laws make along that motion; None where it runs away."""
+        candidate, calls, motions = wholes.extended(candidate), [], []
         for k, (span, data) in enumerate(zip(self.spans, wholes.data)):
             n, inputs, dofs = span.record.samples, span.record.inputs, span.record.outputs
             q = linear.motion(candidate, data, k)[0][:n, :dofs]
-            if not np.max(np.abs(q)) <= RUN_AWAY * np.nanmax(np.abs(span.record.y)):
+            if span.far(q):
                 return None
+            motions.append(q)
             start, _, _ = changed_input(candidate.terms, *held_input(data.u, data.hold), data.u, data.sampling_time)
             u = np.asarray(start)[:n, :inputs]
             # What the plant was given beside the laws.
             given = linear.forces(candidate, data)[:n] + u @ self.plant.input_map.T
             w = self.plant.forces_of(q, span.record)[0] - given
             calls.append(Call(u, w, np.asarray(candidate.entries) * self.units))
-        return calls
+        # Without laws the forces are none, but for what their iteration leaves.
+        return (calls if candidate.terms else self.called(candidate.entries)), motions
+
+    def begun(self, y: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """Outputs of runs, each of a record of the fit with the first state that brings it nearest, to first order."""
+        made = []
+        for span, one in zip(self.spans, y):
+            if span.fit is None:
+                made.append(one)
+                continue
+            record, dofs = span.record, span.record.outputs
+            none = np.zeros((record.samples, dofs))
+            R = np.stack([self.plant.response(none, record, x0) for x0 in np.eye(2 * dofs)], axis=2)
+            kept = np.isfinite(record.y) & (np.arange(record.samples)[:, None] < span.fit.stop)
+            size = np.maximum(np.nanstd(record.y, axis=0), 1e-300)
+            table, error = (R / size[:, None])[kept], ((record.y - one) / size)[kept]
+            scale = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
+            made.append(one + R @ (np.linalg.lstsq(table / scale, error, rcond=1e-10)[0] / scale))
+        return tuple(made)
 
     def seen(
         self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear", runs: Runs
@@ -234,15 +275,16 @@ class Linear:
 
 
 def sized(simulator: Simulator, call: Call, y: np.ndarray) -> np.ndarray:
-    """Units of the numbers: their own sizes; of one that is 0 the size of a step that shows."""
+    """Units of the numbers: their own sizes; of one that is 0 the size from which it shows, 1 where none does."""
     units = np.array(call.numbers, float)
     moved = max(float(np.std(y)), 1e-300)
     for k in np.flatnonzero(units == 0.0):
+        units[k] = 1.0
         for size in SIZES:
             changed = np.array(call.numbers, float)
             changed[k] = size
             made = simulator.tried(dataclasses.replace(call, numbers=changed))
             if made is not None and np.sqrt(np.mean((made - y) ** 2)) >= SEEN * moved:
+                units[k] = size
                 break
-        units[k] = size
     return units

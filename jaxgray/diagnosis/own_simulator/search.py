@@ -9,25 +9,25 @@ import scipy.optimize
 from ...mechanics.drives import Force
 from ...mechanics.effects import CATALOGUE
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect
-from ...numerics.outcomes import ComputationError
+from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from ..acceptance import unproven
 from ..equation_error.without_unmeasured_forces import search_forces
 from ..estimation.context import SearchContext
 from ..estimation.measured_motion import KnownForce
-from ..findings import Rejected
+from ..findings import NOT_SIMULATED, Rejected
 from ..model.candidate import Candidate
 from ..model.simulator import steps_of
 from ..noise.floor import independent_floor
 from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..search.forward import select_forward
-from ..search.state import SearchState
-from .calls import Simulator, checked_numbers
+from ..search.state import SearchState, is_local
+from .calls import Simulator, checked_function, checked_numbers
 from .conclusions import diagnosis_of, is_white
 from .contenders import chosen, offered
-from .gains import gain_between, nearer
+from .gains import gain_between, nearer, parts_of
 from .linearized import linearized
 from .problem import Linear, Problem, Runs, Span, sized
 from .settling import Settled, refit_of_numbers, settle
@@ -40,6 +40,9 @@ ROUNDS = 3
 
 SHORTENED = 1.0, 0.3, 0.1
 """Shares of a step that are tried."""
+
+REPEATED = 1e-9
+"""Difference of two runs with the same inputs, relative to the motion, that rounding may make."""
 
 ENOUGH = 0.999
 """Share of the sum of squares that a step must leave at most, for another one."""
@@ -71,18 +74,19 @@ def diagnose_simulator(
             f"measured={first.measured}; with a simulator give displacements, one for every coordinate in which a "
             "force can act."
         )
-    if not callable(function):
-        raise ValueError(f"simulator={function!r}; give a function of inputs, forces and numbers.")
-    if not isinstance(workers, int) or workers < 1:
-        raise ValueError(f"workers={workers!r}; give a whole number, 1 or more.")
+    checked_function(function, workers)
     given = checked_numbers(parameters)
-    simulator = Simulator(function, tuple(given), first.outputs, workers)
-    problem = Problem(simulator, tuple(Span(*one) for one in spans), np.array(list(given.values())), FORCES)
-    rng = np.random.default_rng(seed)
+    with Simulator(function, tuple(given), first.outputs, workers) as simulator:
+        problem = Problem(simulator, tuple(Span(*one) for one in spans), np.array(list(given.values())), FORCES)
+        return _diagnosed(problem, catalogue, max_effects, separate, np.random.default_rng(seed), progress)
 
+
+def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rng, progress) -> Diagnosis:
+    simulator, first = problem.simulator, problem.record
     progress.unlimited.stage("running the simulator")
-    start = np.ones(len(given))
+    start = np.ones(len(problem.units))
     baseline = problem.runs(problem.called(start))
+    _check_repeatable(problem, baseline)
     units = sized(simulator, baseline.calls[0], baseline.y[0])
     start = np.where(problem.units == 0.0, 0.0, 1.0)
     problem.units = units
@@ -114,9 +118,17 @@ def diagnose_simulator(
         law = offered(context, state) if len(settled) < max_effects else None
         if law is None:
             break
-        law, now = chosen(problem, context, state, law, wholes)
-        before = settled[-1].y if settled else nearer(problem, fitted.y, baseline.y)
-        gain = gain_between(problem, context, before, now.y, baseline.y)
+        try:
+            law, now = chosen(problem, context, state, law, wholes)
+        except ComputationError:
+            # What was settled before stays; without any, its numbers alone are judged.
+            state.rejected.append(Rejected.of(law.attempt.name, law.attempt.delta_bic, NOT_SIMULATED))
+            state.accepted, state.unexplained, state.fit = [], True, None
+            break
+        plain = problem.begun(baseline.y)
+        before = settled[-1].y if settled else nearer(problem, problem.begun(fitted.y), plain)
+        local = is_local(context, law.attempt.score.shape.effect)
+        gain = gain_between(problem, context, before, now.y, plain, local=local)
         if (why := unproven(gain)) is not None:
             # It holds in the linear plant alone.
             state.rejected.append(Rejected.of(law.attempt.name, law.attempt.delta_bic, why, gain))
@@ -136,8 +148,12 @@ def fit_numbers(problem: Problem, entries: np.ndarray, runs: Runs) -> tuple[np.n
     """The numbers that bring the runs nearest to the records, and these runs."""
     for _ in range(ROUNDS if len(entries) else 0):
         weight = _weight(problem, runs)
-        e, J = _errors(problem, runs.y, weight), _table(problem, problem.slopes(runs, entries), weight)
+        slopes = problem.slopes(runs, entries)
+        if problem.idle is None:
+            problem.idle = problem.idle_by(slopes)
+        e, J = _errors(problem, runs.y, weight), _table(problem, slopes, weight)
         step = scipy.optimize.lsq_linear(J, e, (-entries, np.full(len(entries), np.inf))).x
+        step[problem.idle] = 0.0
         for share in SHORTENED:
             trial = problem.tried(problem.called(entries + share * step, runs))
             left = np.inf if trial is None else float(np.sum(_errors(problem, trial.y, weight) ** 2))
@@ -161,13 +177,21 @@ def _weight(problem: Problem, runs: Runs) -> np.ndarray:
 
 def _explained(problem: Problem, runs: Runs) -> bool:
     """Whether runs leave no more than white noise of the records of the fit."""
-    return is_white([span.run(y, span.fit) for span, y in zip(problem.spans, runs.y) if span.fit is not None])
+    return is_white(parts_of(problem, problem.begun(runs.y))[0])
+
+
+def _check_repeatable(problem: Problem, runs: Runs) -> None:
+    """Raise `ComputationError` where a simulator gives other outputs for the same inputs."""
+    again = problem.simulator.run(runs.calls[0])
+    far = float(np.max(np.abs(again - runs.y[0])))
+    if far > REPEATED * float(np.std(runs.y[0])):
+        detail = f"it gave outputs that differ by {far:.3g} for the same inputs; it must begin anew, without chance"
+        raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
 
 
 def _errors(problem: Problem, y: tuple[np.ndarray, ...], weight: np.ndarray | float = 1.0) -> np.ndarray:
     """Errors of all samples of the fit, weighted."""
-    parts = [(span, span.run(one, span.fit)) for span, one in zip(problem.spans, y) if span.fit is not None]
-    return np.concatenate([(run.e * weight)[run.kept] for _, run in parts])
+    return np.concatenate([(run.e * weight)[run.kept] for run in parts_of(problem, y)[0]])
 
 
 def _table(problem: Problem, slopes: list[np.ndarray], weight: np.ndarray) -> np.ndarray:

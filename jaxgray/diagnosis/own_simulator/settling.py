@@ -13,7 +13,7 @@ from ..model.parameter_vector import Layout
 from ..noise.whitening import white_noise_model
 from ..screening.linearization import sampled_plant
 from .numbers import NumbersSimulator
-from .problem import Linear, Problem
+from .problem import Linear, Problem, Runs
 
 SETTLING = 8
 """Runs at most until laws and numbers stand still in the simulator."""
@@ -23,6 +23,10 @@ CLOSED = 3
 
 STILL = 0.25
 """Change of every parameter, in standard errors, at which they do."""
+
+FORESEEN = 0.1
+"""Difference of a run from the motion that the linear plant foresaw, relative to what the run leaves of the record, at
+which the force of a law is that along the simulator's own motion."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,9 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear)
     best = None
     for turn in range(SETTLING):
         context.progress.unlimited.stage(f"settling in the simulator ({turn + 1})")
-        runs = problem.tried(problem.with_laws(linear, candidate, wholes))
+        calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
+        # Without laws there is no other run to fall back on.
+        runs = problem.tried(calls) if candidate.terms else problem.runs(calls)
         if runs is None:
             break
         if turn == 0 and not candidate.terms:
@@ -73,6 +79,7 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear)
         # What the linear plant had left was no noise.
         noise_model = noise_model_of(dataclasses.replace(context, simulator=linear, data=data), again)
         y = problem.seen(linear, candidate, wholes, runs)
+        still = still and (not candidate.terms or _as_foreseen(problem, runs, foreseen, y))
         candidate = again.candidate
         best = Settled(candidate, again, linear, wholes, tuple(data), y, still)
         if still:
@@ -84,12 +91,22 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear)
     return best
 
 
+def _as_foreseen(problem: Problem, runs: Runs, foreseen: list[np.ndarray], y: tuple[np.ndarray, ...]) -> bool:
+    """Whether runs move as the linear plant foresaw, far below what they leave of the records."""
+    for span, run, motion, shown in zip(problem.spans, runs.y, foreseen, y):
+        left = np.nanmean((span.record.y - shown) ** 2, axis=0)
+        if not np.all(np.mean((run - motion) ** 2, axis=0) <= FORESEEN**2 * left):
+            return False
+    return True
+
+
 def with_numbers(problem: Problem, settled: Settled, entries: np.ndarray) -> tuple[np.ndarray, ...] | None:
     """What the sensors show of the simulator with other numbers beside the laws that were found; None where it does not
     run with them."""
     linear, wholes, candidate = settled.linear, settled.wholes, settled.candidate.with_entries(entries)
     for _ in range(CLOSED if candidate.terms else 1):
-        runs = problem.tried(problem.with_laws(linear, candidate, wholes))
+        calls, _ = problem.with_laws(linear, candidate, wholes) or (None, None)
+        runs = problem.tried(calls)
         if runs is None:
             return None
         linear, wholes = problem.about(linear, candidate, wholes, runs)
@@ -101,4 +118,8 @@ def refit_of_numbers(context: SearchContext, candidate: Candidate) -> Refit:
     linear, data = context.simulator, context.data[0]
     e = np.where(data.kept, data.y - linear.run(candidate, data), 0.0)
     white = white_noise_model(e, data.kept, sampled_plant(linear.plant(candidate), data, linear.setup.dofs))
-    return refit(linear, candidate, context.data, white, held=context.held)
+    fit = refit(linear, candidate, context.data, white, held=context.held)
+    if fit is None:
+        detail = "the linear plant that stands for it about the record runs away"
+        raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
+    return fit

@@ -70,14 +70,14 @@ class Follower:
     """
 
     def __init__(self, plant: Linearized, record: Record):
-        self.plant, self.record = plant, record
+        self.plant, self.record, self.size = plant, record, _motion(record)
         self.forces: list[np.ndarray] = []
         self.errors: list[np.ndarray] = []
 
     def next(self, force, error, y) -> Float[np.ndarray, "samples dofs"]:
         """Forces to try, after some forces, what is missing of the wanted outputs under them, and these outputs."""
         self.forces.append(force + self.plant.forces_beside(error, y, self.record))
-        self.errors.append(error)
+        self.errors.append(error / self.size)
         last = self.errors[-1].ravel()
         if len(self.errors) == 1:
             return self.forces[-1]
@@ -132,21 +132,24 @@ def forces_by_number(
     steps = NUMBER * np.diag(units)
     followers = [Follower(plant, record) for _ in units]
     forces, nearest, left = [call.w] * len(units), [call.w] * len(units), [np.inf] * len(units)
+    ahead = list(forces)
     for _ in range(NUMBER_ROUNDS if len(units) else 0):
         calls = [Call(call.u, w, call.numbers + step) for w, step in zip(forces, steps)]
         for k, (one, there) in enumerate(zip(calls, simulator.runs(calls))):
-            if isinstance(there, Failure):
-                if left[k] == np.inf:
-                    simulator.run(one)
-                forces[k] = nearest[k]
-                continue
-            error = y - there
-            size = float(np.max(np.abs(error)))
+            if isinstance(there, Failure) and left[k] == np.inf:
+                simulator.finished(one, there)
+            size = np.inf
+            if not isinstance(there, Failure):
+                error = y - there
+                with np.errstate(over="ignore"):
+                    size = float(np.sqrt(np.mean((error / _motion(record)) ** 2)))
             if size < left[k]:
-                nearest[k], left[k], forces[k] = one.w, size, followers[k].next(one.w, error, y)
+                nearest[k], left[k] = one.w, size
+                ahead[k] = followers[k].next(one.w, error, y)
             else:
-                # No nearer, or run away: not gone on from.
-                forces[k] = nearest[k]
+                # No nearer, or run away: half way to where that was to lead.
+                ahead[k] = (nearest[k] + ahead[k]) / 2
+            forces[k] = ahead[k]
     # The last forces were not tried.
     found = [(w - call.w) / NUMBER for w in forces]
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
@@ -157,4 +160,9 @@ def _size(record: Record, y: np.ndarray) -> float:
     e = np.where(np.isfinite(record.y), record.y - y, 0.0)
     with np.errstate(over="ignore"):
         # A run that runs away is infinitely far.
-        return float(np.sqrt(np.mean((e / np.maximum(np.nanstd(record.y, axis=0), 1e-300)) ** 2)))
+        return float(np.sqrt(np.mean((e / _motion(record)) ** 2)))
+
+
+def _motion(record: Record) -> Float[np.ndarray, " dofs"]:
+    """Size of the motion of every output."""
+    return np.maximum(np.nanstd(record.y, axis=0), 1e-300)
