@@ -11,6 +11,7 @@ import scipy.signal
 import jaxgray
 from jaxgray.diagnosis.own_simulator.calls import Call, Simulator, checked_numbers
 from jaxgray.diagnosis.own_simulator.linearized import linearized
+from jaxgray.diagnosis.own_simulator.problem import Problem, Span
 from jaxgray.diagnosis.own_simulator.tracking import forces_by_number
 from jaxgray.numerics.outcomes import ComputationError
 
@@ -200,6 +201,16 @@ def pushed(y, u, seed=0):
     return jaxgray.Record(u, y + 0.003 * y.std() * rng.standard_normal(y.shape), H)
 
 
+def test_slopes_of_a_number_that_cannot_be_more_are_those_of_less():
+    u = pendulum.torque(200, np.random.default_rng(3))[:, None]
+    record = jaxgray.Record(u, spring(u, 0 * u, {}), H)
+    problem = Problem(Simulator(spring, ("efficiency",), 1), (Span(record, slice(0, 200), None),), np.ones(1), ())
+    runs = problem.runs(problem.called(np.ones(1)))
+    (slopes,) = problem.slopes(runs, np.ones(1))
+    np.testing.assert_allclose(slopes[:, :, 0], runs.y[0], rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.slow
 def test_a_number_that_cannot_be_more_is_tried_with_less():
     u = pendulum.torque(SAMPLES, np.random.default_rng(3), highest=10.0)[:, None]
     record = pushed(spring(0.9 * u, 0 * u, {}), u)
