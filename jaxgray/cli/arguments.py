@@ -279,10 +279,18 @@ class OwnSimulator:
 
     simulator: Annotated[
         str | None,
-        _option("--simulator", metavar="FILE.py:FUNCTION", help="Judge this simulator y = f(u, w, numbers) instead."),
+        _option(
+            "--simulator",
+            metavar="FILE.py:FUNCTION|MODEL.xml",
+            help="Judge this simulator y = f(u, w, numbers) instead, or this model of MuJoCo.",
+        ),
     ] = None
     parameters: Annotated[
-        str | None, _option("--parameters", metavar="NAME=X,…", help="The simulator's numbers, as it has them.")
+        str | None,
+        _option("--parameters", metavar="NAME=X,…", help="The simulator's numbers; of a MODEL.xml their names."),
+    ] = None
+    mended: Annotated[
+        Path | None, _option("--mended", metavar="OUT.xml", help="Write the MODEL.xml with what was found.")
     ] = None
     workers: Annotated[int, _option("--workers", metavar="N", help="Processes that run the simulator.")] = 1
     simulated: Annotated[

@@ -45,7 +45,7 @@ def diagnose(
     from . import files
 
     files.check_holdout(channels)
-    files.check_places(output.json, reporting.report, diagnosing.experiment)
+    files.check_places(output.json, reporting.report, diagnosing.experiment, simulating.mended)
     checked(fitting, diagnosing)
     check_simulator(simulating, diagnosing, excitation, fitting)
     options = subspace_options(excitation)
@@ -68,13 +68,17 @@ def diagnose(
 
         if simulating.simulator is None:
             options |= {"structure": words(fitting.structure), "fix": fitting.fix, "noise": fitting.noise}
+        elif files.is_mujoco(simulating.simulator):
+            own = files.mujoco_model(simulating.simulator, record, simulating.parameters)
+            options = {"simulator": own, "parameters": own.numbers, "workers": simulating.workers}
         else:
-            options = {"simulator": files.simulator(simulating.simulator), "workers": simulating.workers}
+            numbers = files.parameters(simulating.parameters)
+            options = {"simulator": files.simulator(simulating.simulator), "parameters": numbers}
+            options |= {"workers": simulating.workers}
         result = diagnose(
             record,
             validation=validation,
             model=model,
-            parameters=files.parameters(simulating.parameters),
             only=only,
             exclude=exclude,
             max_effects=diagnosing.max_effects,
@@ -88,8 +92,14 @@ def diagnose(
         progress.stage("reporting")
         if diagnosing.experiment is not None and result.next_experiment is None:
             notes.append(f"{diagnosing.experiment} is not written: there is no experiment to propose.")
+        if simulating.mended is not None:
+            notes += [
+                f"{simulating.mended} lacks {what}: MJCF has no attribute for it." for what in own.unwritten(result)
+            ]
         document = diagnosis_document(result, tuple(notes))
         written = _pictures(output, result)
+        if simulating.mended is not None:
+            written[simulating.mended] = own.mended(result).encode()
         written |= page(reporting.report, result, notes)
         if diagnosing.experiment is not None and result.next_experiment is not None:
             proposed = result.next_experiment
@@ -142,6 +152,8 @@ def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing, excitation
                 if value != getattr(usual, name):
                     option = "--" + name.replace("_", "-")
                     raise ValueError(f"{option} is about a model that is fitted; leave it out with --simulator.")
+    if simulating.mended is not None and not (simulating.simulator or "").lower().endswith((".xml", ".mjcf")):
+        raise ValueError("--mended writes a model of MuJoCo; give --simulator MODEL.xml as well.")
     if simulating.simulator is None and simulating.parameters is not None:
         raise ValueError("--parameters are those of a simulator; give --simulator FILE.py:FUNCTION as well.")
     if simulating.workers < 1:

@@ -160,6 +160,29 @@ def simulator(text: str):
     return getattr(made, name)
 
 
+def is_mujoco(text: str | None) -> bool:
+    """Whether a simulator is a model of MuJoCo."""
+    return text is not None and Path(text).suffix.lower() in (".xml", ".mjcf")
+
+
+def mujoco_model(text: str, record: Record, numbers: str | None):
+    """A model of MuJoCo as a simulator of a record; `numbers`: NAME or NAME=X, with commas.
+
+    **Raises:** `ValueError` where it does not fit the record, or MuJoCo is missing.
+    """
+    from ..simulators import MujocoSimulator
+
+    given = None
+    if numbers is not None:
+        names = [part.partition("=")[0].strip() for part in words(numbers)]
+        given = MujocoSimulator(text, record, names).numbers
+        given |= parameters(",".join(part for part in words(numbers) if "=" in part)) or {}
+    try:
+        return MujocoSimulator(text, record, given)
+    except ImportError as error:
+        raise ValueError(f"--simulator={text}: {error}") from None
+
+
 def parameters(text: str | None) -> dict[str, float] | None:
     """Numbers by name from NAME=X,…; None for none.
 

@@ -14,6 +14,7 @@ from made_diagnosis import diagnosis, equivalent, experiment
 import jaxgray
 from jaxgray import demonstration_effects as effects
 from jaxgray.cli import main
+from jaxgray.diagnosis.findings import Estimate, Finding, ParameterShift
 
 CHANNELS = ["--inputs", "u1,u2", "--outputs", "y1,y2"]
 MATRICES = {"mass": [[2, 0], [0, 1]], "damping": [[3, 0], [0, 1]], "stiffness": [[100, -5], [-5, 100]]}
@@ -317,6 +318,36 @@ def test_a_simulator_comes_from_a_file_with_its_numbers(asked, tmp_path, records
     assert asked.options["parameters"] == {"gain": 2.0, "loss": 0.001} and asked.options["workers"] == 1
     assert asked.options["simulator"](np.ones((3, 2)), None, {"gain": 2.0}).tolist() == [[2.0]] * 3
     assert "structure" not in asked.options and "excitation" not in asked.options
+
+
+PENDULUM = """<mujoco><option timestep="{step}"/><worldbody>
+<body name="rod"><joint name="y1" axis="0 1 0" damping="0.1"/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.3" mass="1"/>
+<body name="tip" pos="0 0 -0.3"><joint name="y2" axis="0 1 0" damping="0.2"/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.3" mass="1"/></body></body></worldbody>
+<actuator><motor name="u1" joint="y1"/><motor name="u2" joint="y2"/></actuator></mujoco>"""
+
+
+def test_a_model_of_mujoco_is_judged_and_written_with_what_was_found(asked, capsys, tmp_path, records):
+    pytest.importorskip("mujoco")
+    program, out = tmp_path / "arm.xml", tmp_path / "mended.xml"
+    program.write_text(
+        PENDULUM.format(step=jaxgray.read_record(records[0], inputs=["u1"], outputs=["y1"]).sampling_time)
+    )
+    number = Finding("parameter_error", "y1.damping", "named", "model", (), {}, None, None)
+    law = Finding("coulomb_friction", "y2", "named", "model", (), {"Fc": Estimate(0.03, 0.01, "N m")}, None, None)
+    delay = Finding("input_delay", "u1", "named", "model", (), {}, None, None)
+    shift = ParameterShift("y1.damping", 0.1, 0.15, 0.01)
+    asked.answer = diagnosis(own_model=True, findings=(number, law, delay), shifts=(shift,))
+    given = ["diagnose", records[0], *CHANNELS, "--simulator", program]
+    run(*given, "--parameters", "y1.damping,y2.damping=0.25", "--mended", out)
+    assert asked.options["parameters"] == {"y1.damping": 0.1, "y2.damping": 0.25}
+    assert asked.options["simulator"].outputs == ("y1", "y2")
+    assert "lacks input_delay at u1: MJCF has no attribute" in " ".join(capsys.readouterr().err.split())
+    mended = jaxgray.MujocoSimulator(out, asked.record, ["y1.damping", "y2.damping", "y2.frictionloss"])
+    assert mended.numbers == {"y1.damping": 0.15, "y2.damping": 0.2, "y2.frictionloss": 0.03}
+    fails(capsys, [*given, "--parameters", "y1.colour"], "'y1.colour' is no number")
+    fails(capsys, ["diagnose", records[0], *CHANNELS, "--mended", out], "--mended writes a model of MuJoCo")
 
 
 def test_a_simulator_that_is_not_there_is_said_to_be(capsys, tmp_path, records):

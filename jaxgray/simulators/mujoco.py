@@ -1,0 +1,243 @@
+"""Models of MuJoCo as simulators: joints are coordinates, actuators inputs, `qfrc_applied` the forces beside them.
+
+**Reference:** Todorov, Erez & Tassa, *MuJoCo: A physics engine for model-based control*, IROS 2012.
+"""
+
+import copy
+import importlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..diagnosis.result import Diagnosis
+from ..records import Record
+
+JOINT = {"damping": "dof_damping", "frictionloss": "dof_frictionloss", "armature": "dof_armature"}
+JOINT |= {"stiffness": "jnt_stiffness"}
+"""Attributes of a joint that are numbers, and the arrays of a compiled model that hold them."""
+
+FEW_NAMES = 12
+"""Names that a message lists."""
+
+TIME = 1e-6
+"""Part of a step by which a sampling time may miss a whole number of them."""
+
+
+class MujocoSimulator:
+    """A model of MuJoCo, run from the first sample of a record at rest.
+
+    Every degree of freedom must be measured: a hinge or slide for each output, by name; an actuator for each input.
+
+    **Arguments:** `path` of the MJCF file; `record`, whose names of inputs and outputs are those of actuators and
+    joints; `numbers`: names such as "elbow.damping", "forearm.mass" or "motor.gear", with a value each where it is a
+    mapping; default what the joints of the outputs have of damping, frictionloss, stiffness and armature.
+
+    **Raises:** `ValueError` for a file that MuJoCo does not read, or that does not fit the record; `ImportError` with
+    what to install where MuJoCo is missing.
+    """
+
+    def __init__(self, path: str | Path, record: Record, numbers: Iterable[str] | Mapping[str, float] | None = None):
+        self.path = str(path)
+        self.inputs, self.outputs = record.input_names, record.output_names
+        self.sampling_time, self.hold = record.sampling_time, record.hold
+        known = np.where(np.isfinite(record.y[0]), record.y[0], 0.0)
+        self.begin = tuple(map(float, known))
+        self._check()
+        model = self.model
+        if numbers is None:
+            numbers = [f"{joint}.{name}" for joint in self.outputs for name in JOINT]
+            numbers = [name for name in numbers if self._number(model, name) != 0.0]
+        given = {name: self._number(model, name) for name in numbers}
+        if isinstance(numbers, Mapping):
+            given |= {name: float(value) for name, value in numbers.items()}
+        self.numbers: dict[str, float] = given
+
+    def __getstate__(self):
+        # The model is read again where it is needed: other processes have the file.
+        return {name: value for name, value in vars(self).items() if name != "_model"}
+
+    @property
+    def model(self):
+        """The compiled model as it was given."""
+        if "_model" not in vars(self):
+            mujoco = _mujoco()
+            try:
+                self._model = mujoco.MjModel.from_xml_path(self.path)
+            except (ValueError, FileNotFoundError) as error:
+                raise ValueError(f"{self.path}: MuJoCo does not read it: {error}") from error
+        return self._model
+
+    def __call__(
+        self,
+        u: Float[np.ndarray, "samples inputs"],
+        w: Float[np.ndarray, "samples outputs"],
+        numbers: Mapping[str, float],
+    ) -> Float[np.ndarray, "samples outputs"]:
+        """Positions of the joints at the samples."""
+        mujoco = _mujoco()
+        rollout = importlib.import_module("mujoco.rollout")
+        model = self.changed(numbers)
+        data = mujoco.MjData(model)
+        at, dofs = self._joints(model)
+        data.qpos[at] = self.begin
+        mujoco.mj_forward(model, data)
+        kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        state = np.empty(mujoco.mj_stateSize(model, kind))
+        mujoco.mj_getState(model, data, state, kind)
+        steps = self._steps(model)
+        forces = np.zeros((len(u), model.nu + model.nv))
+        forces[:, self._actuators(model)], forces[:, model.nu + dofs] = u, w
+        spec = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+        control = _held(forces, steps, self.hold)
+        states, _ = rollout.rollout(model, data, state, control[:-steps], control_spec=spec)
+        # Time comes first in a state, then the positions.
+        y = np.concatenate([[self.begin], states[0, steps - 1 :: steps][:, 1 + at]])
+        # It begins anew by itself where it goes astray.
+        astray = np.diff(states[0, :, 0]) < 0
+        if np.any(astray):
+            y[1 + int(np.argmax(astray)) // steps :] = np.nan
+        return y
+
+    def changed(self, numbers: Mapping[str, float]):
+        """A compiled model with other numbers."""
+        mujoco = _mujoco()
+        model = copy.copy(self.model)
+        for name, value in numbers.items():
+            self._set(model, name, value)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+    def unwritten(self, found: Diagnosis) -> tuple[str, ...]:
+        """What a diagnosis of this simulator found that MJCF has no attribute for."""
+        laws = [f for f in found.findings if f.stage == "model" and f.effect not in ("parameter_error", "unexplained")]
+        return tuple(f"{f.effect} at {f.location}" for f in laws if not self._is_friction(f))
+
+    def mended(self, found: Diagnosis) -> str:
+        """The model as MJCF, with the numbers that a diagnosis of this simulator found off, and dry friction at its
+        joints."""
+        spec = _mujoco().MjSpec.from_file(self.path)
+        for shift in found.shifts:
+            if any(f.effect == "parameter_error" and f.location == shift.name for f in found.findings):
+                _write(spec, shift.name, shift.after)
+        for finding in filter(self._is_friction, found.findings):
+            joint = spec.joint(finding.location)
+            joint.frictionloss = joint.frictionloss + finding.parameters["Fc"].value
+        spec.compile()
+        return spec.to_xml()
+
+    def _is_friction(self, finding) -> bool:
+        return finding.effect == "coulomb_friction" and finding.location in self.outputs
+
+    def _check(self) -> None:
+        model = self.model
+        if model.nv != len(self.outputs) or model.nq != model.nv:
+            raise ValueError(
+                f"{self.path} has {model.nv} degrees of freedom, the record {len(self.outputs)} outputs "
+                f"({_named(self.outputs)}): a hinge or slide for every output, and no other joint."
+            )
+        self._joints(model), self._actuators(model), self._steps(model)
+
+    def _steps(self, model) -> int:
+        ratio = self.sampling_time / model.opt.timestep
+        steps = max(int(round(ratio)), 1)
+        if abs(ratio - steps) > TIME * steps:
+            raise ValueError(
+                f"{self.path}: its timestep {model.opt.timestep:g} s does not divide the sampling time "
+                f"{self.sampling_time:g} s; set <option timestep> to a part of it."
+            )
+        return steps
+
+    def _joints(self, model) -> tuple[np.ndarray, np.ndarray]:
+        """Positions in qpos and in qvel of the joints of the outputs."""
+        ids = [_id(model, "JOINT", name, f"{self.path}: outputs are joints by name") for name in self.outputs]
+        return np.array(model.jnt_qposadr)[ids], np.array(model.jnt_dofadr)[ids]
+
+    def _actuators(self, model) -> np.ndarray:
+        return np.array(
+            [_id(model, "ACTUATOR", name, f"{self.path}: inputs are actuators by name") for name in self.inputs]
+        )
+
+    def _place(self, model, name: str):
+        """The array that holds a number, and where."""
+        element, _, attribute = name.rpartition(".")
+        where = f"numbers: {name!r}"
+        if attribute in JOINT:
+            joint = _id(model, "JOINT", element, where)
+            array = getattr(model, JOINT[attribute])
+            return array, joint if attribute == "stiffness" else int(model.jnt_dofadr[joint])
+        if attribute == "mass":
+            return model.body_mass, _id(model, "BODY", element, where)
+        if attribute == "gear":
+            return model.actuator_gear, (_id(model, "ACTUATOR", element, where), 0)
+        raise ValueError(f"{where} is no number; give JOINT.{'|'.join(JOINT)}, BODY.mass or ACTUATOR.gear.")
+
+    def _number(self, model, name: str) -> float:
+        array, at = self._place(model, name)
+        return float(array[at])
+
+    def _set(self, model, name: str, value: float) -> None:
+        array, at = self._place(model, name)
+        if name.endswith(".mass"):
+            model.body_inertia[at] *= value / array[at]
+        array[at] = value
+
+
+def _mujoco():
+    try:
+        return importlib.import_module("mujoco")
+    except ImportError:
+        raise ImportError("models of MuJoCo need it: pip install 'jaxgray[mujoco]'") from None
+
+
+def _id(model, kind: str, name: str, where: str) -> int:
+    mujoco = _mujoco()
+    kind = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
+    at = mujoco.mj_name2id(model, kind, name)
+    if at < 0:
+        count = {mujoco.mjtObj.mjOBJ_JOINT: model.njnt, mujoco.mjtObj.mjOBJ_BODY: model.nbody}.get(kind, model.nu)
+        names = [mujoco.mj_id2name(model, kind, k) for k in range(count)]
+        raise ValueError(f"{where}: there is no {name!r}, but {_named([one for one in names if one])}.")
+    return at
+
+
+def _named(names) -> str:
+    names = list(names)
+    return ", ".join(names[:FEW_NAMES]) + (", …" if len(names) > FEW_NAMES else "")
+
+
+def _held(forces: np.ndarray, steps: int, hold: str) -> np.ndarray:
+    """Inputs at every step: held over a sample, or on a straight line to the next."""
+    if hold != "linear":
+        return np.repeat(forces, steps, axis=0)
+    after = np.concatenate([forces[1:], forces[-1:]])
+    share = ((np.arange(steps) + 0.5) / steps)[None, :, None]
+    return (forces[:, None] * (1 - share) + after[:, None] * share).reshape(-1, forces.shape[1])
+
+
+def _write(spec, name: str, value: float) -> None:
+    """Set a number in a model that is written."""
+    element, _, attribute = name.rpartition(".")
+    if attribute == "gear":
+        gear = np.array(spec.actuator(element).gear)
+        gear[0] = value
+        spec.actuator(element).gear = gear
+        return
+    if attribute == "mass":
+        body = spec.body(element)
+        factor = value / spec.compile().body(element).mass[0]
+        for geom in body.geoms:
+            geom.mass, geom.density = geom.mass * factor, geom.density * factor
+        body.mass, body.fullinertia, body.inertia = (
+            np.asarray(x) * factor for x in (body.mass, body.fullinertia, body.inertia)
+        )
+        return
+    joint = spec.joint(element)
+    old = np.array(getattr(joint, attribute), dtype=float)
+    if old.ndim:
+        # The first of a polynomial.
+        old.flat[0] = value
+        setattr(joint, attribute, old)
+    else:
+        setattr(joint, attribute, value)

@@ -1,0 +1,160 @@
+"""A model of MuJoCo as a simulator: runs, numbers by name, what is written back, what does not fit."""
+
+import dataclasses
+import pickle
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import scipy.signal
+
+import jaxgray
+from jaxgray.simulators import MujocoSimulator
+
+mujoco = pytest.importorskip("mujoco")
+
+H, SAMPLES = 0.01, 400
+ARM = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/><worldbody>
+<body name="upper"><joint name="shoulder" type="hinge" axis="0 1 0" damping="{damping}" armature="0.02"/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.3" mass="1"/>
+<body name="lower" pos="0 0 -0.3"><joint name="elbow" type="hinge" axis="0 1 0" damping="0.2" armature="0.01"
+ stiffness="0.5" frictionloss="{friction}"/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.25" mass="0.6"/></body></body></worldbody>
+<actuator><motor name="m2" joint="elbow" gear="2"/><motor name="m1" joint="shoulder"/></actuator></mujoco>"""
+NAMES = {"input_names": ["m1", "m2"], "output_names": ["shoulder", "elbow"]}
+
+
+def torques(samples, seed, highest=3.0):
+    sections = scipy.signal.butter(4, 2 * H * highest, output="sos")
+    u = scipy.signal.sosfilt(sections, np.random.default_rng(seed).standard_normal((samples, 2)), axis=0)
+    return u / u.std(axis=0) * [1.2, 0.2]
+
+
+@pytest.fixture
+def arm(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM.format(damping=0.4, friction=0.0))
+    u = torques(SAMPLES, 1)
+    y = np.zeros((SAMPLES, 2))
+    y[0] = 0.3, -0.1
+    return path, jaxgray.Record(u, y, H, **NAMES)
+
+
+def stepped(path, record, w, hold):
+    """The same by steps of one's own."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:] = record.y[0]
+    found = []
+    for k, (u, force) in enumerate(zip(record.u, w)):
+        found.append(data.qpos.copy())
+        later = [min(k + 1, len(w) - 1)]
+        for step in range(5):
+            share = (step + 0.5) / 5 if hold == "linear" else 0.0
+            now = u + share * (record.u[later[0]] - u)
+            data.ctrl[:] = now[1], now[0]
+            data.qfrc_applied[:] = force + share * (w[later[0]] - force)
+            mujoco.mj_step(model, data)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_a_run_is_that_of_the_model(arm, hold):
+    path, record = arm
+    record = dataclasses.replace(record, hold=hold)
+    simulator = MujocoSimulator(path, record)
+    w = 0.1 * np.random.default_rng(2).standard_normal((SAMPLES, 2))
+    y = simulator(record.u, w, simulator.numbers)
+    np.testing.assert_allclose(y, stepped(path, record, w, hold), atol=1e-9)
+    again = pickle.loads(pickle.dumps(simulator))
+    np.testing.assert_array_equal(again(record.u, w, simulator.numbers), y)
+
+
+def test_numbers_have_names(arm):
+    path, record = arm
+    known = {"shoulder.damping": 0.4, "shoulder.armature": 0.02, "elbow.damping": 0.2, "elbow.armature": 0.01}
+    assert MujocoSimulator(path, record).numbers == known | {"elbow.stiffness": 0.5}
+    some = MujocoSimulator(path, record, ["lower.mass", "m2.gear", "elbow.frictionloss"])
+    assert some.numbers == {"lower.mass": 0.6, "m2.gear": 2.0, "elbow.frictionloss": 0.0}
+    assert MujocoSimulator(path, record, {"lower.mass": 0.5}).numbers == {"lower.mass": 0.5}
+    for number in some.numbers:
+        as_given, more = (some(record.u, 0 * record.u, {number: some.numbers[number] + x}) for x in (0.0, 0.05))
+        assert np.max(np.abs(more - as_given)) > 1e-4, number
+    heavier = some.changed({"lower.mass": 1.2})
+    assert heavier.body("lower").inertia[0] == pytest.approx(2 * some.model.body("lower").inertia[0])
+    assert some.model.body("lower").mass[0] == 0.6, "the model that was given stays as it is"
+
+
+def test_what_was_found_is_written_back(arm, tmp_path):
+    path, record = arm
+    simulator = MujocoSimulator(path, record, ["shoulder.damping", "elbow.stiffness", "lower.mass", "m2.gear"])
+    wanted = {"shoulder.damping": 0.55, "elbow.stiffness": 0.8, "lower.mass": 0.7, "m2.gear": 1.9}
+
+    def finding(effect, location, **parameters):
+        values = {name: SimpleNamespace(value=value) for name, value in parameters.items()}
+        return SimpleNamespace(effect=effect, location=location, stage="model", parameters=values)
+
+    found = SimpleNamespace(
+        shifts=[SimpleNamespace(name=name, after=value) for name, value in wanted.items()],
+        findings=[finding("parameter_error", name) for name in wanted]
+        + [finding("coulomb_friction", "elbow", Fc=0.03), finding("input_delay", "m1", tau=0.01)],
+    )
+    out = tmp_path / "mended.xml"
+    assert simulator.unwritten(found) == ("input_delay at m1",)
+    out.write_text(simulator.mended(found))
+    mended = MujocoSimulator(out, record)
+    reference = MujocoSimulator(path, record, [*wanted, "elbow.frictionloss"])
+    expected = reference(record.u, 0 * record.u, wanted | {"elbow.frictionloss": 0.03})
+    np.testing.assert_allclose(mended(record.u, 0 * record.u, {}), expected, atol=1e-6)
+    # What was not found off stays.
+    found.findings = []
+    assert simulator.unwritten(found) == ()
+    out.write_text(simulator.mended(found))
+    np.testing.assert_allclose(
+        MujocoSimulator(out, record)(record.u, 0 * record.u, {}), simulator(record.u, 0 * record.u, {}), atol=1e-9
+    )
+
+
+def test_what_does_not_fit_is_said(arm, tmp_path):
+    path, record = arm
+    cases = (
+        (dataclasses.replace(record, output_names=("hip", "elbow")), None, "there is no 'hip', but shoulder, elbow"),
+        (dataclasses.replace(record, input_names=("m1", "m3")), None, "there is no 'm3', but m2, m1"),
+        (dataclasses.replace(record, sampling_time=0.003), None, "does not divide the sampling time 0.003 s"),
+        (record, ["elbow.colour"], "'elbow.colour' is no number; give JOINT.damping"),
+        (record, ["wrist.damping"], "there is no 'wrist', but shoulder, elbow"),
+        (jaxgray.Record(record.u, record.y[:, :1], H), None, "has 2 degrees of freedom, the record 1 outputs"),
+    )
+    for given, numbers, message in cases:
+        with pytest.raises(ValueError, match=message):
+            MujocoSimulator(path, given, numbers)
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<mujoco><worldbody>")
+    for bad in (broken, tmp_path / "nowhere.xml"):
+        with pytest.raises(ValueError, match="MuJoCo does not read it"):
+            MujocoSimulator(bad, record)
+
+
+def test_a_run_that_goes_astray_is_none(arm):
+    path, record = arm
+    y = MujocoSimulator(path, record)(1e9 * record.u, 0 * record.u, {})
+    assert np.isfinite(y[0]).all() and np.isnan(y[-1]).all()
+
+
+@pytest.mark.slow
+def test_dry_friction_and_wrong_damping_of_an_arm_are_found(tmp_path):
+    true, own = tmp_path / "true.xml", tmp_path / "own.xml"
+    true.write_text(ARM.format(damping=0.4, friction=0.05))
+    own.write_text(ARM.format(damping=0.36, friction=0.0))
+    u = torques(2500, 7)
+    blank = jaxgray.Record(u, np.zeros((2500, 2)), H, **NAMES)
+    y = MujocoSimulator(true, blank)(u, 0 * u, {})
+    y = y + 0.003 * y.std(axis=0) * np.random.default_rng(8).standard_normal(y.shape)
+    record = jaxgray.Record(u, y, H, input_units=["N m"] * 2, output_units=["rad"] * 2, **NAMES)
+    simulator = MujocoSimulator(own, record, ["shoulder.damping", "elbow.damping"])
+    laws = "coulomb_friction,cubic_stiffness,input_delay"
+    found = jaxgray.diagnose(record, simulator=simulator, parameters=simulator.numbers, only=laws, max_effects=1)
+    law = next(f for f in found.findings if f.stage == "model" and f.effect != "parameter_error")
+    assert (law.effect, law.location) == ("coulomb_friction", "elbow")
+    assert abs(law.parameters["Fc"].value - 0.05) < 0.002
+    assert {s.name: round(s.after, 2) for s in found.shifts} == {"shoulder.damping": 0.4, "elbow.damping": 0.2}
