@@ -6,8 +6,6 @@ So the accelerations of all outputs are regressed on their own motion, the input
 laws, and the lower end is where this leaves the least of them.
 """
 
-import dataclasses
-import functools
 import itertools
 
 import numpy as np
@@ -27,7 +25,7 @@ velocity do so as well."""
 LOWER_ENDS = 2.0 ** np.arange(0.0, -4.5, -0.5)
 """Lower ends that are tried, relative to that by spectra, which take what acts at once for noise."""
 
-KEPT = 0.9
+KEPT = 0.8
 """Power of the motion that the rows of a lower end must keep of each record: the ends of a record and its gaps spoil
 more of longer periods."""
 
@@ -53,9 +51,7 @@ def integrated_band(records: list[Record]) -> Band:
         lower = [series_of(one, band) for one in records]
         if all(_power(one, other.rows) >= KEPT * _power(one, one.rows) for one, other in zip(first, lower)):
             tried.append((band, lower))
-    # Every band is judged on the same part of the records.
-    common = [functools.reduce(np.intersect1d, (one.rows for one in same)) for same in zip(*(all for _, all in tried))]
-    left = [_left([dataclasses.replace(s, rows=rows) for s, rows in zip(all, common)]) for _, all in tried]
+    left = [_left(same) for _, same in tried]
     best = int(np.argmin(left))
     return tried[best][0] if left[best] < CLEAR * left[0] else own
 
