@@ -142,6 +142,8 @@ def checked(fitting: Fitting, diagnosing: Diagnosing) -> None:
 
 def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing, excitation: Excitation, fitting: Fitting) -> None:
     """Raise `ValueError` for options of a simulator that do not go together."""
+    from . import files
+
     if simulating.simulator is not None and diagnosing.model is not None:
         raise ValueError("--simulator and --model are two things to judge; give one of them.")
     if simulating.simulated is not None and (simulating.simulator, diagnosing.model) != (None, None):
@@ -152,7 +154,7 @@ def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing, excitation
                 if value != getattr(usual, name):
                     option = "--" + name.replace("_", "-")
                     raise ValueError(f"{option} is about a model that is fitted; leave it out with --simulator.")
-    if simulating.mended is not None and not (simulating.simulator or "").lower().endswith((".xml", ".mjcf")):
+    if simulating.mended is not None and not files.is_mujoco(simulating.simulator):
         raise ValueError("--mended writes a model of MuJoCo; give --simulator MODEL.xml as well.")
     if simulating.simulator is None and simulating.parameters is not None:
         raise ValueError("--parameters are those of a simulator; give --simulator FILE.py:FUNCTION as well.")

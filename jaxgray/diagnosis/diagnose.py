@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ..identification import Identification
 from ..identification.validation.structure_test import StructureTest
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
-from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
+from ..mechanics.effects.base import AbstractEffect
 from ..mechanics.linear import corrected
 from ..mechanics.model import MechanicalModel
 from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
@@ -42,7 +42,7 @@ from .data_checks.record_findings import noise_findings, record_findings, still_
 from .data_checks.residual_outliers import merged, without_late_outliers
 from .data_checks.sample_size import check_enough
 from .estimation.context import SearchContext
-from .estimation.measured_motion import KnownForce
+from .estimation.measured_motion import FORCES
 from .findings import Finding
 from .model.baseline import ADOPTED, baseline_of
 from .model.candidate import Data
@@ -62,8 +62,6 @@ from .search.parts import Searched, search
 from .search.state import SearchState
 from .simulated_outputs import as_if_measured, stand_in
 from .starts.user_model import identified, with_first_states
-
-FORCES = (*(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect)), KnownForce())
 
 PASSES = 3
 """Times that outliers are looked for in what the linear model leaves."""

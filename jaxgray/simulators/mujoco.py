@@ -3,6 +3,7 @@
 **Reference:** Todorov, Erez & Tassa, *MuJoCo: A physics engine for model-based control*, IROS 2012.
 """
 
+import contextlib
 import copy
 import importlib
 from collections.abc import Iterable, Mapping
@@ -14,8 +15,12 @@ from jaxtyping import Float
 from ..diagnosis.result import Diagnosis
 from ..records import Record
 
-JOINT = {"damping": "dof_damping", "frictionloss": "dof_frictionloss", "armature": "dof_armature"}
-JOINT |= {"stiffness": "jnt_stiffness"}
+JOINT = {
+    "damping": "dof_damping",
+    "frictionloss": "dof_frictionloss",
+    "armature": "dof_armature",
+    "stiffness": "jnt_stiffness",
+}
 """Attributes of a joint that are numbers, and the arrays of a compiled model that hold them."""
 
 FEW_NAMES = 12
@@ -75,7 +80,12 @@ class MujocoSimulator:
         w: Float[np.ndarray, "samples outputs"],
         numbers: Mapping[str, float],
     ) -> Float[np.ndarray, "samples outputs"]:
-        """Positions of the joints at the samples."""
+        """Positions of the joints at the samples, [rad] of hinges and [m] of slides, from the first state on; NaN from
+        where the run goes astray.
+
+        **Arguments:** `u`: controls of the actuators; `w`: torques [N m] or forces [N] at the joints beside them, both
+        held as the record's inputs are; `numbers` by name, in units of MJCF.
+        """
         mujoco = _mujoco()
         rollout = importlib.import_module("mujoco.rollout")
         model = self.changed(numbers)
@@ -91,7 +101,8 @@ class MujocoSimulator:
         forces[:, self._actuators(model)], forces[:, model.nu + dofs] = u, w
         spec = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
         control = _held(forces, steps, self.hold)
-        states, _ = rollout.rollout(model, data, state, control[:-steps], control_spec=spec)
+        with _quiet(mujoco):
+            states, _ = rollout.rollout(model, data, state, control[:-steps], control_spec=spec)
         # Time comes first in a state, then the positions.
         y = np.concatenate([[self.begin], states[0, steps - 1 :: steps][:, 1 + at]])
         # It begins anew by itself where it goes astray.
@@ -189,6 +200,18 @@ def _mujoco():
         return importlib.import_module("mujoco")
     except ImportError:
         raise ImportError("models of MuJoCo need it: pip install 'jaxgray[mujoco]'") from None
+
+
+@contextlib.contextmanager
+def _quiet(mujoco):
+    """Its warnings go nowhere meanwhile, not into a file of the working folder: runs that go astray are told by their
+    outputs."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _id(model, kind: str, name: str, where: str) -> int:

@@ -135,10 +135,12 @@ def test_what_does_not_fit_is_said(arm, tmp_path):
             MujocoSimulator(bad, record)
 
 
-def test_a_run_that_goes_astray_is_none(arm):
+def test_a_run_that_goes_astray_is_none(arm, tmp_path, monkeypatch):
     path, record = arm
+    monkeypatch.chdir(tmp_path)
     y = MujocoSimulator(path, record)(1e9 * record.u, 0 * record.u, {})
     assert np.isfinite(y[0]).all() and np.isnan(y[-1]).all()
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 @pytest.mark.slow

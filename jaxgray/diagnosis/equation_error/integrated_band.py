@@ -22,7 +22,7 @@ KNEES = (0.4, 0.6, 0.75, 0.85, 0.93, 0.98)
 """Quantiles of a displacement from which straight lines begin that stand in for laws; its size and the sign of its
 velocity do so as well."""
 
-LOWER_ENDS = 2.0 ** np.arange(0.0, -4.5, -0.5)
+LOWER_ENDS = 2.0 ** np.arange(-0.5, -4.5, -0.5)
 """Lower ends that are tried, relative to that by spectra, which take what acts at once for noise."""
 
 KEPT = 0.8
@@ -41,7 +41,7 @@ def integrated_band(records: list[Record]) -> Band:
     """
     own = band_of(records)
     lowest = MIN_PERIODS / min(r.samples * r.sampling_time for r in records)
-    lows = [low for low in own.low * LOWER_ENDS[1:] if low >= lowest]
+    lows = [low for low in own.low * LOWER_ENDS if low >= lowest]
     if not lows:
         return own
     first = [series_of(one, own) for one in records]

@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 
+from ...mechanics.effects import CATALOGUE
 from ...mechanics.effects.base import AbstractForceEffect, Parameter, Term
 from ..model.candidate import Candidate
 from ..noise.whitening import white_noise_model
@@ -38,6 +39,10 @@ class KnownForce(AbstractForceEffect):
 
     def force(self, p, here, z):
         return p[0] * here.p
+
+
+FORCES = (*(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect)), KnownForce())
+"""Force laws that a simulator of candidates is compiled with."""
 
 
 def along_measured_motion(context: SearchContext, stage: Stage, score: Score, *, tolerance: float) -> Candidate | None:

@@ -7,7 +7,6 @@ import numpy as np
 import scipy.optimize
 
 from ...mechanics.drives import Force
-from ...mechanics.effects import CATALOGUE
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
@@ -15,7 +14,7 @@ from ...records import Record
 from ..acceptance import unproven
 from ..equation_error.without_unmeasured_forces import search_forces
 from ..estimation.context import SearchContext
-from ..estimation.measured_motion import KnownForce
+from ..estimation.measured_motion import FORCES
 from ..findings import NOT_SIMULATED, Rejected
 from ..model.candidate import Candidate
 from ..model.simulator import steps_of
@@ -32,8 +31,6 @@ from .linearized import linearized
 from .problem import Linear, Problem, Runs, Span, sized
 from .settling import Settled, refit_of_numbers, settle
 from .tracking import tracked
-
-FORCES = (*(effect for effect in CATALOGUE if isinstance(effect, AbstractForceEffect)), KnownForce())
 
 ROUNDS = 3
 """Gauss-Newton steps for the numbers before laws are looked for."""
