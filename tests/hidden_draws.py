@@ -35,7 +35,7 @@ SPRING = (
     "stiffness_step",
     "position_dependent_stiffness",
 )
-INPUT = (*laws.INPUTS, "input_delay", "intersample_hold", "input_position_gain")
+INPUT = (*laws.INPUTS, "input_delay", "intersample_hold", *laws.AT_INPUTS)
 OUTPUT = ("sensor_offset", "sensor_drift", "sensor_delay", "sensor_lag", "sensor_nonlinearity")
 CROSS = ("sensor_crosstalk",)
 DYNAMIC = (*SPRING, *COORDINATE, *PAIR, *INPUT, *OUTPUT, *CROSS)
@@ -241,6 +241,14 @@ def _position_gain(rng, x, size, sign):
     return {"a": sign * 2 * size / rms(getattr(x, form)), "form": form}
 
 
+def _limit_of_speed(rng, x, size, sign):
+    """A limit that is reached in some part of the record, at a speed that the record has."""
+    share, reached = rng.uniform(0.3, 0.8), rng.uniform(0.5, 0.9)
+    speed = np.abs(x.v).max() / share
+    u0 = reached * float(np.max(np.abs(x.u) / np.maximum(1 - np.abs(x.v) / speed, 0.05)))
+    return {"u0": u0, "c": u0 / speed, "form": str(rng.choice(["speed", "voltage"]))}
+
+
 def _play(rng, x, size, sign):
     r = np.array([0.15, 0.5, 1.0])[: rng.integers(1, 4)] * rng.uniform(0.7, 1.3) * rms(x.u)
     return {"w": list(2 * size * rng.uniform(0.5, 1.5, len(r)) / len(r)), "r": list(r)}
@@ -291,6 +299,8 @@ DRAWS = {
     "input_dead_zone": lambda rng, x, size, sign: {"width": float(np.quantile(np.abs(x.u), rng.uniform(0.1, 0.4)))},
     "input_quadratic": lambda rng, x, size, sign: {"a": sign * size * rms(x.u) / rms(x.u**2)},
     "input_position_gain": _position_gain,
+    "load_friction": lambda rng, x, size, sign: {"mu": 1.5 * size * x.push / np.mean(np.abs(x.u))},
+    "speed_force_limit": _limit_of_speed,
     "play_hysteresis": _play,
     "actuator_creep": lambda rng, x, size, sign: {"gain": 2 * size, "tau": log_uniform(rng, 0.5, 5.0)},
     "sensor_offset": lambda rng, x, size, sign: {"b": sign * size * rms(x.q)},

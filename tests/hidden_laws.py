@@ -42,6 +42,17 @@ def outside(q, gap):
     return q - jnp.clip(q, -gap, gap)
 
 
+def limited(p, here):
+    """What is left of a force whose limit falls with the speed; by voltage it rises again while braking."""
+    if here.form == "voltage":
+        return jnp.minimum(jnp.maximum(here.u, -p["u0"] - p["c"] * here.v), p["u0"] - p["c"] * here.v)
+    most = p["u0"] - p["c"] * jnp.abs(here.v)
+    return jnp.minimum(jnp.maximum(here.u, -most), most)
+
+
+AT_INPUTS = ("input_position_gain", "speed_force_limit", "load_friction")
+"""Laws in the equation of motion that act where an input does, and see it."""
+
 FORCES = {
     "cubic_stiffness": lambda p, here: p["k3"] * here.q**3,
     "quadratic_stiffness": lambda p, here: p["k2"] * here.q**2,
@@ -61,14 +72,16 @@ FORCES = {
     "periodic_disturbance": lambda p, here: -p["A"] * jnp.sin(2 * jnp.pi * p["frequency_hz"] * here.t + p["phase"]),
     "force_step": lambda p, here: -p["F"] * (here.middle >= p["t0"]),
     "input_position_gain": lambda p, here: -p["a"] * here.u * (here.q if here.form == "q" else here.v),
+    "speed_force_limit": lambda p, here: here.u - limited(p, here),
 }
 """The single-valued part of a force law; what is applied rather than restoring is negative on the left side."""
 
 FRICTION = {
-    "coulomb_friction": lambda p, q, speed: p["Fc"],
-    "stribeck_friction": lambda p, q, speed: p["Fc"] + (p["Fs"] - p["Fc"]) * jnp.exp(-((speed / p["vs"]) ** 2)),
-    "asymmetric_friction": lambda p, q, speed: p["Fc"],
-    "position_dependent_friction": lambda p, q, speed: jnp.maximum(p["Fc"] * (1 + p["a"] * q), 0.0),
+    "coulomb_friction": lambda p, q, speed, u: p["Fc"],
+    "stribeck_friction": lambda p, q, speed, u: p["Fc"] + (p["Fs"] - p["Fc"]) * jnp.exp(-((speed / p["vs"]) ** 2)),
+    "asymmetric_friction": lambda p, q, speed, u: p["Fc"],
+    "position_dependent_friction": lambda p, q, speed, u: jnp.maximum(p["Fc"] * (1 + p["a"] * q), 0.0),
+    "load_friction": lambda p, q, speed, u: p["mu"] * jnp.abs(u),
 }
 """Level of the set-valued part, a force between −level and +level at rest, level · sgn v in motion."""
 

@@ -83,10 +83,11 @@ def integrate(kinds, inputs_at, M, forces, follow, E, parameters, arms, duration
             duration=duration,
         )
 
-    def levels(s):
+    def levels(s, step, c):
         q, v = product(B.T, s[:n]), product(B.T, s[n : 2 * n])
+        at = [sees(k, s, s, step, c).u for k in rubbing]
         return jnp.stack(
-            [laws.FRICTION[kinds[k][0]](parameters[k], q[j], jnp.abs(v[j])) for j, k in enumerate(rubbing)]
+            [laws.FRICTION[kinds[k][0]](parameters[k], q[j], jnp.abs(v[j]), at[j]) for j, k in enumerate(rubbing)]
         )
 
     def rate(s, before, step, c, mode):
@@ -101,7 +102,7 @@ def integrate(kinds, inputs_at, M, forces, follow, E, parameters, arms, duration
                 slopes.append(laws.RATES[kind](parameters[k], here) if kind in laws.RATES else jnp.zeros(counts[k]))
         holding = jnp.zeros(0)
         if rubbing:
-            r = r - product(B, mode * levels(s))
+            r = r - product(B, mode * levels(s, step, c))
             still = mode == 0
             W = jnp.where(jnp.outer(still, still), B.T @ step.inverse @ B, jnp.diag(1.0 - still))
             holding = small_solve(W, jnp.where(still, product(B.T, product(step.inverse, r)), 0.0))
@@ -129,7 +130,7 @@ def integrate(kinds, inputs_at, M, forces, follow, E, parameters, arms, duration
         Also how much of the friction is to spare there, negative where it gave way.
         """
         holding = rate(s, s, step, c, mode)[1]
-        spare = levels(s) - jnp.abs(holding)
+        spare = levels(s, step, c) - jnp.abs(holding)
         return jnp.where((mode == 0) & (spare < 0), jnp.sign(holding), mode), spare, holding
 
     def at_rest(s, step, stop):
@@ -270,7 +271,7 @@ def motion(system, u, sampling_time, effects, *, hold="zero", scheduling=None, x
         effects, system.M, system.D, system.K, E, sampling_time / substeps, samples * sampling_time
     )
     moving = [e for e in effects if e.id in laws.FORCES or e.id in laws.FRICTION or e.id == "mass_step"]
-    inputs_at = tuple(laws.index(e.place) if e.id == "input_position_gain" else -1 for e in moving)
+    inputs_at = tuple(laws.index(e.place) if e.id in laws.AT_INPUTS else -1 for e in moving)
     arms = [
         E[:, j] if j >= 0 else np.pad(laws.arm(e.place, observed), (0, len(M) - observed))
         for e, j in zip(moving, inputs_at)

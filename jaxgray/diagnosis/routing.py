@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from ..identification import Identification, identify
 from ..identification.setup.options import drive_by
@@ -30,6 +31,9 @@ Route = Literal["free run", "force equation", "static gain"]
 
 KNOTS, LEAST_KNOTS = 33, 9
 """Ends of the straight pieces of a curve over the input; with fewer the input is no more than some levels."""
+
+RADII = np.linspace(0.04, 0.48, 12)
+"""Of plays, relative to the range of the input; half of it is the most that moves."""
 
 NEIGHBOURS = 3
 """Samples before and after, in which a motion that is not static shows."""
@@ -267,29 +271,48 @@ def _of_displacements(records: list[Record], drive: AbstractDrive) -> bool:
 
 
 def is_static_curve(record: Record) -> bool:
-    """Whether the outputs are a curve over the one input, as far as the record shows: one that what the input was
-    before, or will be, makes no better. Then it says nothing of mass and damping."""
+    """Whether the outputs are a curve over the one input, or loops over it that do not depend on the time they take,
+    as far as the record shows: what the input just was, or will be, makes it no better. Then it says nothing of mass
+    and damping."""
     if record.inputs != 1 or not np.ptp(record.u) > 0 or not is_static(record):
         return False
     u, away = record.u[:, 0], range(1, NEIGHBOURS + 1)
     knots = np.unique(np.quantile(u, np.linspace(0, 1, KNOTS)))
     if len(knots) < LEAST_KNOTS:
         return False
-    over = np.maximum(u[:, None] - knots[None, :-1], 0.0)
     before = [u - np.concatenate([np.full(k, u[0]), u[:-k]]) for k in away]
     after = [u - np.concatenate([u[k:], np.full(k, u[-1])]) for k in away]
-    curve = np.concatenate([np.ones((record.samples, 1)), over], axis=1)
-    both = np.concatenate([curve, np.stack([*before, *after], axis=1)], axis=1)
+    near = np.stack([*before, *after], axis=1)
+    curve = np.concatenate([np.ones((record.samples, 1)), np.maximum(u[:, None] - knots[None, :-1], 0.0)], axis=1)
+    if _says_no_more(record, curve, near):
+        return True
+    return _says_no_more(record, np.concatenate([curve, plays(u, RADII * np.ptp(u))], axis=1), near)
+
+
+def _says_no_more(record: Record, table: np.ndarray, near: np.ndarray) -> bool:
+    """Whether the inputs `near` a sample explain no more of any output than a table of its columns does."""
+    both = np.concatenate([table, near], axis=1)
     for y in record.y.T:
         known = np.isfinite(y)
-        alone, more = (_left(table[known], y[known]) for table in (curve, both))
+        alone, more = (_left(columns[known], y[known]) for columns in (table, both))
         if not alone > 0.0:
-            # Rounding is all that the curve leaves.
+            # Rounding is all that the table leaves.
             continue
         gain = known.sum() * np.log(alone / max(more, 1e-300)) - 2 * NEIGHBOURS * np.log(known.sum())
         if gain > settings.MIN_DELTA_BIC:
             return False
     return True
+
+
+def plays(u: Float[np.ndarray, " samples"], radii: Float[np.ndarray, " radii"]) -> Float[np.ndarray, "samples radii"]:
+    """What follows an input with play of several radii, begun in the middle: loops without a time of their own are
+    sums of them (Kuhnen 2003)."""
+    z = np.full(len(radii), u[0])
+    result = np.empty((len(u), len(radii)))
+    for k, value in enumerate(u):
+        z = np.clip(z, value - radii, value + radii)
+        result[k] = z
+    return result
 
 
 def _left(table: np.ndarray, y: np.ndarray) -> float:

@@ -312,6 +312,25 @@ def _position_gain(effect) -> tuple[Panel, Panel]:
     return left, Panel("Fast input, slow motion", "time [s]", "applied force", lines)
 
 
+def _load_friction(effect) -> tuple[Panel, Panel]:
+    loads = (0.3, 1.0, 2.0)
+    settings = [{"v": WAY, "u": u} for u in loads]
+    labels = [f"{u:g}" for u in loads]
+    left = _several(effect, "Force against velocity, at three inputs", "velocity [length/s]", labels, WAY, settings)
+    return left, _force_trace(effect, "velocity", u=np.sin(0.4 * _times(FINE)))
+
+
+def _speed_force_limit(effect) -> tuple[Panel, Panel]:
+    speeds = (0.0, 0.4, 0.8)
+    curves = [Curve(f"{v:g}", WAY, WAY - _static(effect, u=WAY, v=v), role) for v, role in zip(speeds, ROLES)]
+    left = Panel("Applied force against input, at three speeds", "input [force]", "applied force", tuple(curves))
+    t = _times(FINE)
+    u = 1.2 * np.cos(t)
+    force = u - _along(effect, _motion(t, u=u), t[1])
+    lines = (Curve("command", t, u, "plain"), Curve("applied force", t, force))
+    return left, Panel("Command in phase with the velocity", "time [s]", "applied force", lines)
+
+
 def _segments(t: np.ndarray, start: np.ndarray, end: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Straight lines over the samples as one line."""
     return np.column_stack([t, t + step]).ravel(), np.column_stack([start, end]).ravel()
@@ -412,6 +431,8 @@ SINGLE: dict[str, Callable[..., tuple[Panel, Panel]]] = {
     "intersample_hold": _between_samples,
     "band_limited_input": _between_samples,
     "input_position_gain": _position_gain,
+    "load_friction": _load_friction,
+    "speed_force_limit": _speed_force_limit,
     "stiffness_drift": _over_the_record,
     "stiffness_step": _step,
     "mass_step": _step,

@@ -21,6 +21,7 @@ TOLD_APART = {
     "quadratic_drag": "Two amplitudes at one frequency: the damping ratio grows with the amplitude, that of dry "
     "friction falls.",
     "position_dependent_friction": "The same small motion at several positions along the path.",
+    "load_friction": "Another payload: friction of the load grows with it, Coulomb friction stays.",
     "fractional_damping": "Excitation over two decades of frequency: damping between spring and damper at all of them.",
     "dahl_friction": "Motion much smaller than the play of the contact: before it slides, dry friction with an "
     "elastic contact is a spring.",
@@ -34,6 +35,8 @@ TOLD_APART = {
     "intersample_hold": "A faster sampling rate: the difference between holds shrinks with the square of the step.",
     "band_limited_input": "A faster sampling rate: the difference between holds shrinks with the square of the step.",
     "input_saturation": "Inputs below and above the limit: below it nothing changes.",
+    "speed_force_limit": "The largest command against a stop and in free motion: a saturation gives the same force in "
+    "both.",
     "input_dead_zone": "Small inputs: inside the zone nothing moves, and friction of the machine is not felt by the "
     "force that is measured.",
     "input_quadratic": "The input with its sign reversed: an even law does not change sign.",

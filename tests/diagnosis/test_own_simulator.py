@@ -11,7 +11,6 @@ import scipy.signal
 import jaxgray
 from jaxgray.diagnosis.own_simulator.calls import Call, Simulator, checked_numbers
 from jaxgray.diagnosis.own_simulator.linearized import linearized
-from jaxgray.diagnosis.own_simulator.problem import Problem, Span
 from jaxgray.diagnosis.own_simulator.tracking import forces_by_number
 from jaxgray.numerics.outcomes import ComputationError
 
@@ -104,7 +103,7 @@ def test_a_number_takes_a_force_along_the_motion():
     wanted = np.stack([0.1 * np.gradient(v, H), 0.08 * v, 2.0 * np.sin(y[:, 0]), 0.15 * np.tanh(v / 1e-3)], axis=1)
     share = np.sum(forces * wanted, axis=0) / np.sum(wanted**2, axis=0)
     # Friction jumps within a sample, which held forces cannot.
-    assert np.allclose(share, 1.0, atol=[0.02, 0.02, 0.02, 0.08]), share
+    assert np.allclose(share, 1.0, atol=[0.02, 0.02, 0.02, 0.1]), share
 
 
 def broken(how):
@@ -201,13 +200,16 @@ def pushed(y, u, seed=0):
     return jaxgray.Record(u, y + 0.003 * y.std() * rng.standard_normal(y.shape), H)
 
 
-def test_slopes_of_a_number_that_cannot_be_more_are_those_of_less():
-    u = pendulum.torque(200, np.random.default_rng(3))[:, None]
-    record = jaxgray.Record(u, spring(u, 0 * u, {}), H)
-    problem = Problem(Simulator(spring, ("efficiency",), 1), (Span(record, slice(0, 200), None),), np.ones(1), ())
-    runs = problem.runs(problem.called(np.ones(1)))
-    (slopes,) = problem.slopes(runs, np.ones(1))
-    np.testing.assert_allclose(slopes[:, :, 0], runs.y[0], rtol=1e-6, atol=1e-12)
+def test_the_force_of_a_number_that_cannot_be_more_is_that_of_less():
+    u = pendulum.torque(400, np.random.default_rng(3), highest=10.0)[:, None]
+    call = Call(u, 0 * u, np.ones(1))
+    simulator = Simulator(spring, ("efficiency",), 1)
+    y = simulator.run(call)
+    record = jaxgray.Record(u, y, H)
+    plant = linearized(simulator, record, call, y, np.random.default_rng(1))
+    (force,) = forces_by_number(simulator, plant, record, call, y, call.numbers).T[:, 0]
+    # More of it takes less force beside.
+    assert np.corrcoef(force, u[:, 0])[0, 1] < -0.99 and abs(np.std(force) / np.std(u) - 1) < 0.1
 
 
 @pytest.mark.slow

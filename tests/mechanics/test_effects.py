@@ -32,7 +32,8 @@ position_dependent_friction fractional_damping bouc_wen_hysteresis maxwell_slip_
 circulatory_coupling input_delay actuator_lag intersample_hold input_saturation input_dead_zone input_quadratic
 input_position_gain band_limited_input play_hysteresis actuator_creep sensor_offset sensor_drift sensor_delay
 sensor_lag sensor_crosstalk sensor_nonlinearity clock_scale dropped_samples unmodelled_mode stiffness_drift
-stiffness_step mass_step position_dependent_stiffness periodic_disturbance force_step""".split()
+stiffness_step mass_step position_dependent_stiffness periodic_disturbance force_step load_friction
+speed_force_limit""".split()
 
 EFFECTS = CATALOGUE + MODEL_ERRORS
 NAMES = [effect.id for effect in EFFECTS]
@@ -171,7 +172,7 @@ def test_description_and_shapes(effect):
 def test_response_is_the_sum_of_its_basis(effect):
     weights = np.array([0.7, 0.2, 0.4])
     for p in effect.shapes(SCALES)[:2]:
-        if effect.id == "input_saturation":
+        if effect.id in ("input_saturation", "speed_force_limit"):
             (only,) = effect.basis(p)
             assert np.array_equal(effect.combine(p, np.array([0.9])), only)
             continue
@@ -547,6 +548,21 @@ def test_signs_are_those_of_the_left_side():
     assert force("force_step", [2.0, 0.5, TIME]) == -2.0
     assert force("periodic_disturbance", [2.0, 1.0, 0.5 * np.pi]) == pytest.approx(-2.0)
     assert force("input_position_gain", [2.0, 0.0]) == -2.0
+    assert force("load_friction", [0.3, 0.01]) == pytest.approx(0.3)
+    assert force("speed_force_limit", [0.9, 0.5, 0.0]) == pytest.approx(0.6)
+
+
+def test_a_limit_by_voltage_gives_back_while_braking():
+    def taken(u, v, form):
+        zero = jnp.zeros(())
+        here = Local(zero, jnp.asarray(v), zero, zero, jnp.asarray(u), zero, zero)
+        return float(by_id("speed_force_limit").force(jnp.array([1.0, 0.5, form]), here, jnp.zeros(0)))
+
+    assert taken(1.2, 1.0, 0.0) == taken(1.2, 1.0, 1.0) == pytest.approx(0.7)
+    assert taken(1.2, -1.0, 0.0) == pytest.approx(0.7) and taken(1.2, -1.0, 1.0) == 0.0
+    assert taken(-1.2, -1.0, 1.0) == pytest.approx(-0.7)
+    # Beyond the speed at which nothing is left it does not push back.
+    assert taken(1.2, 3.0, 0.0) == pytest.approx(1.2)
 
 
 def test_periodic_disturbance_combines_as_amplitude_and_phase():

@@ -34,14 +34,14 @@ def diagnosis_of(
     every: list[Settled],
     *,
     baseline: Runs,
-    fitted: Runs,
+    fitted: Settled | None,
     start: np.ndarray,
 ) -> Diagnosis:
     """The diagnosis of a simulator.
 
     **Arguments:** `problem`; `context`, `states`: of the searches in the linear plant, one a law; `every`: laws and
     numbers in the simulator after each; `baseline`: runs with the numbers as they were given, `start` as entries;
-    `fitted`: with numbers alone.
+    `fitted`: with numbers alone, None where the simulator does not run with them.
     """
     names = problem.record.output_names
     settled, state = every[-1], joined(states)
@@ -57,7 +57,7 @@ def diagnosis_of(
         return gain_between(problem, context, one, other, given, floor)
 
     context = dataclasses.replace(context, simulator=settled.linear, data=list(settled.data))
-    plain = nearer(problem, problem.begun(fitted.y), given)
+    plain = given if fitted is None else nearer(problem, fitted.y, given)
     steps = [plain, *(one.y for one in every)] if state.accepted else [settled.y]
     for k, accepted in enumerate(state.accepted):
         state.accepted[k] = dataclasses.replace(accepted, gain=gain(steps[k], steps[k + 1]))

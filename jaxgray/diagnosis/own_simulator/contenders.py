@@ -20,10 +20,13 @@ from ..search.confusable import alike
 from ..search.state import Accepted, SearchState
 from .gains import parts_of
 from .problem import Linear, Problem
-from .settling import Settled, settle
+from .settling import Settled, left_by, settle
 
 MOST = 4
 """Laws that are settled in the simulator in one round."""
+
+FAR_BEHIND = 1.1
+"""Mean square that a law leaves, relative to another, at which no further run brings it near."""
 
 BEHIND = (Reason.EXPLAINED_BETTER, Reason.DOMINATED, Reason.NO_SURE_GAIN)
 """Reasons against a law that hold in the linear plant, and may not in the simulator."""
@@ -62,15 +65,17 @@ def chosen(
     **Raises:** `ComputationError` where the simulator runs with none of them.
     """
     settled: dict[tuple[str, str], Settled] = {}
+    beyond = np.inf
     known = state.first.best_by_place() | {one.name: one.score for one in (accepted.attempt, *accepted.rivals)}
     failure = None
     for name, fit in _contenders(state, accepted):
         context.progress.unlimited.stage(f"trying {name[0]} at {name[1]} in the simulator")
         try:
-            one = settle(problem, context, fit, wholes)
+            one = settle(problem, context, fit, wholes, beyond=beyond)
         except ComputationError as error:
             failure = error
             continue
+        beyond = min(beyond, left_by(problem, one.y) + np.log(FAR_BEHIND))
         if name == accepted.attempt.name or _sound(one, known.get(name)):
             settled[name] = one
     if not settled:

@@ -2,12 +2,14 @@
 give such a plant a motion.
 
 The simulator is run with small, wide-band changes of its forces, then of its inputs. Its answers have no noise, so that
-plain least squares on the force equation gives M, D, K, and E.
+plain least squares on the force equation gives M, D, K, and E; under forces that are held the second difference of a
+motion is its acceleration, averaged about the sample as the forces are.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 import scipy.signal
 from jaxtyping import Float
 
@@ -16,9 +18,7 @@ from ...mechanics.extended import Plant, held_input
 from ...mechanics.statespace import hold_matrices
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
-from ..equation_error.band import band_of
-from ..equation_error.regression import Equation
-from ..equation_error.rows import around_samples, series_of
+from ..equation_error.rows import around_samples
 from ..model.candidate import Data
 from ..screening.linearization import sampled_plant
 from .calls import Call, Simulator
@@ -26,7 +26,7 @@ from .calls import Call, Simulator
 HIGHEST = 0.1
 """Highest frequency of the changes, per sample."""
 
-ANSWER = 0.02
+ANSWER = 2e-3
 """Size that an answer should have, relative to the motion."""
 
 WITHIN = 10.0
@@ -34,6 +34,15 @@ WITHIN = 10.0
 
 ATTEMPTS = 4
 """Sizes of a change that are tried."""
+
+PIECES = 25
+"""Knots of a stiffness that goes with the displacement."""
+
+DRY = 0.05
+"""Share of a force near reversals that nothing else may explain where there is no dry friction."""
+
+ROWS = 10
+"""Samples in motion that there should be, for every unknown."""
 
 REVERSAL = 0.1
 """Velocity about a reversal, relative to its root mean square, at which damping may be other."""
@@ -75,7 +84,9 @@ class Linearized:
 
     def forces_beside(self, error: np.ndarray, motion: np.ndarray, like: Record) -> np.ndarray:
         """Forces that move the simulator by `error` beside a motion of its own, about."""
-        return self.varying(error, motion, like.sampling_time)
+        f = self.varying(error, motion, like.sampling_time)
+        # Held from sample to sample, forces act half a sample later: so that none comes late, the mean of two.
+        return f if like.hold == "linear" else np.concatenate([(f[:-1] + f[1:]) / 2, f[-1:]])
 
     def _balance(self, q, h):
         """M q̈ + D q̇ + K q by central differences."""
@@ -86,13 +97,16 @@ class Linearized:
 @dataclass(frozen=True)
 class Varying:
     """Forces of a small motion beside a large one: by M, D, K, by stiffness at every coordinate that goes with its
-    displacement and the square of that, and by other damping near reversals.
+    displacement, in straight pieces, and by other damping near reversals.
 
-    `table`: a row of coefficients for every coordinate; `q`, `v`: sizes of displacement and velocity.
+    `table`: a row of coefficients for every coordinate; `knots` of the pieces, a row a coordinate; `mean`: of every
+    piece along the motion; `v`: velocity [1/s] below which a coordinate is near a reversal that dry friction makes, 0
+    where none does.
     """
 
     table: Float[np.ndarray, "dofs columns"]
-    q: Float[np.ndarray, " dofs"]
+    knots: Float[np.ndarray, "dofs knots"]
+    mean: Float[np.ndarray, "dofs knots"]
     v: Float[np.ndarray, " dofs"]
 
     def __call__(self, small: np.ndarray, large: np.ndarray, h: float) -> Float[np.ndarray, "samples dofs"]:
@@ -101,22 +115,99 @@ class Varying:
 
     def _columns(self, small, large, h, i):
         slope, second = _derivatives(small, h)
-        q = large[:, i] / self.q[i]
-        near = np.exp(-((np.gradient(large[:, i], h) / (REVERSAL * self.v[i])) ** 2))
-        own = [small[:, i] * q, small[:, i] * q**2, slope[:, i] * near]
-        return np.concatenate([second, slope, small, np.stack(own, axis=1)], axis=1)
+        near = self._near(np.gradient(large[:, i], h), i)
+        # As they are about the sample, like the force.
+        small = small + second * h**2 / 12
+        pieces = small[:, i, None] * (_pieces(large[:, i], self.knots[i]) - self.mean[i])
+        return np.concatenate([second, slope, small, pieces, (slope[:, i] * near)[:, None]], axis=1)
 
     @classmethod
     def of(cls, small: np.ndarray, large: np.ndarray, force: np.ndarray, h: float) -> "Varying":
         """That of an answer `small` to forces beside a motion `large`, by least squares."""
-        q = np.maximum(np.sqrt(np.mean(large**2, axis=0)), 1e-300)
-        v = np.maximum(np.sqrt(np.mean(np.gradient(large, h, axis=0) ** 2, axis=0)), 1e-300)
-        empty, rows = cls(np.zeros((large.shape[1], 0)), q, v), []
-        for i in range(large.shape[1]):
-            X = empty._columns(small, large, h, i)
-            size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-            rows.append(np.linalg.lstsq(X / size, force[:, i], rcond=1e-9)[0] / size)
-        return cls(np.stack(rows), q, v)
+        dofs = large.shape[1]
+        knots = np.stack([np.linspace(q.min(), max(q.max(), q.min() + 1e-300), PIECES) for q in large.T])
+        mean = np.stack([np.mean(_pieces(q, k), axis=0) for q, k in zip(large.T, knots)])
+        v = REVERSAL * np.maximum(np.sqrt(np.mean(np.gradient(large, h, axis=0) ** 2, axis=0)), 1e-300)
+        empty, rows = cls(np.zeros((dofs, 0)), knots, mean, v), []
+        for i in range(dofs):
+            X, moving = empty._columns(small, large, h, i), empty.in_motion(large, h)[i]
+            # Derivatives at the ends see one side alone.
+            inner = (np.arange(len(X)) > 1) & (np.arange(len(X)) < len(X) - 2)
+            moving, turning, row = inner & moving, inner & ~moving, np.zeros(X.shape[1])
+            row[:-1] = _least_squares(X[moving, :-1], force[moving, i])
+            beyond = force[:, i] - X @ row
+            if np.any(turning) and np.mean(beyond[turning] ** 2) > DRY**2 * np.mean(force[turning, i] ** 2):
+                row[-1] = max(_least_squares(X[turning, -1:], beyond[turning])[0], 0.0)
+            else:
+                v[i] = 0.0
+            rows.append(row)
+        return cls(np.stack(rows), knots, mean, v)
+
+    def _near(self, slope: np.ndarray, i: int) -> np.ndarray:
+        """How near a coordinate is to a reversal, from 0 to 1."""
+        return np.exp(-((slope / self.v[i]) ** 2)) if self.v[i] > 0 else 0.0 * slope
+
+    def in_motion(self, large: np.ndarray, h: float) -> list[np.ndarray]:
+        """Samples that are not near a reversal of a coordinate, where dry friction takes the force and nothing answers;
+        all samples where there are few others."""
+        moving = [(np.abs(slope) > v) | (v == 0) for slope, v in zip(np.gradient(large, h, axis=0).T, self.v)]
+        return [rows if np.sum(rows) >= ROWS * PIECES else np.ones(len(rows), bool) for rows in moving]
+
+    def sampled(self, large: Float[np.ndarray, "samples dofs"], h: float) -> tuple[np.ndarray, np.ndarray]:
+        """What (q, q̇) of a small motion become over each sample beside a large one, and what held forces add:
+        (samples × 2 dofs × 2 dofs) and (samples × 2 dofs × dofs)."""
+        samples, dofs = large.shape
+        M, D, K = (self.table[:, k * dofs : (k + 1) * dofs] for k in range(3))
+        stiffness, damping = np.tile(K, (samples, 1, 1)), np.tile(D, (samples, 1, 1))
+        speed = np.gradient(large, h, axis=0)
+        for i in range(dofs):
+            pieces = _pieces(large[:, i], self.knots[i]) - self.mean[i]
+            stiffness[:, i, i] += pieces @ self.table[i, 3 * dofs : -1]
+            damping[:, i, i] += self.table[i, -1] * self._near(speed[:, i], i)
+        system = np.zeros((samples, 3 * dofs, 3 * dofs))
+        system[:, :dofs, dofs : 2 * dofs] = np.eye(dofs)
+        inverse = np.linalg.inv(M)
+        system[:, dofs : 2 * dofs, :dofs] = -inverse @ stiffness
+        system[:, dofs : 2 * dofs, dofs : 2 * dofs] = -inverse @ damping
+        system[:, dofs : 2 * dofs, 2 * dofs :] = inverse
+        made = scipy.linalg.expm(h * system)
+        return made[:, : 2 * dofs, : 2 * dofs], made[:, : 2 * dofs, 2 * dofs :]
+
+    def response(self, forces: Float[np.ndarray, "samples dofs *many"], large: np.ndarray, h: float) -> np.ndarray:
+        """The small motion that held forces make from rest, beside a large one; or many, side by side."""
+        A, B = self.sampled(large, h)
+        x, made = np.zeros((2 * large.shape[1], *forces.shape[2:])), np.empty(forces.shape)
+        for k, w in enumerate(forces):
+            made[k] = x[: large.shape[1]]
+            x = A[k] @ x + B[k] @ w
+        return made
+
+    @property
+    def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """M, D, K, means along the motion."""
+        dofs = len(self.table)
+        parts = (self.table[:, k * dofs : (k + 1) * dofs] for k in range(3))
+        M, D, K = ((X + X.T) / 2 for X in parts)
+        return M, _semidefinite(D), _semidefinite(K)
+
+
+def _least_squares(X: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Weights of the columns, no row counting for more than half of all: what grew large is no longer small."""
+    size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+    rows = np.linalg.norm(X / size, axis=1)
+    weight = 1 / np.maximum(rows, np.median(rows) + 1e-300)
+    return np.linalg.lstsq(weight[:, None] * X / size, weight * y, rcond=1e-6)[0] / size
+
+
+def _semidefinite(X: np.ndarray) -> np.ndarray:
+    """The nearest matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(X)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def _pieces(q: Float[np.ndarray, " samples"], knots: Float[np.ndarray, " knots"]) -> np.ndarray:
+    """Shares of the knots in a curve of straight pieces at q, constant beyond the last."""
+    return np.stack([np.interp(q, knots, one) for one in np.eye(len(knots))], axis=1)
 
 
 def _derivatives(q: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -154,24 +245,21 @@ def linearized(
 
     shape = _wide_band(len(y), dofs, rng)
     w, answer = _answered(simulator, by_forces, force * shape, y, size)
-    pushed = Record(w, answer, h, hold=record.hold)
-    band = band_of([pushed])
-    series = series_of(pushed, band, at_rest=True)
-    equation = Equation([series], np.eye(dofs))
-    fit = equation.fit((), equation.plain()) if np.all(np.ptp(answer, axis=0) > 0) else None
-    if fit is None:
+    answers = bool(np.all(np.ptp(answer, axis=0) > 0))
+    varying = Varying.of(answer, y, around(w, record.hold), h) if answers else None
+    M, D, K = varying.matrices if answers else np.zeros((3, dofs, dofs))
+    if not np.all(np.linalg.eigvalsh(M) > 0):
         detail = (
             "its outputs do not answer to the forces w as a system with mass does; w is a force (or torque) in the "
             "coordinate of every output, beside what acts there"
         )
         raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
-    M, D, K = fit.matrices
-    varying = Varying.of(answer, y, around(w, record.hold), h)
     inputs = np.std(call.u, axis=0)
     shape = _wide_band(len(y), record.inputs, rng) * np.where(inputs > 0, inputs, force)
     u, answer = _answered(simulator, by_inputs, shape, y, size)
     # What the same answer takes as forces, not for M, D, K alone, which are means over the motion.
-    E = np.linalg.lstsq(around(u, record.hold), varying(answer, y, h), rcond=1e-10)[0].T
+    U, taken = around(u, record.hold), varying(answer, y, h)
+    E = np.stack([_least_squares(U[rows], taken[rows, i]) for i, rows in enumerate(varying.in_motion(y, h))])
     return Linearized(M, D, K, E, varying)
 
 

@@ -17,10 +17,7 @@ from ..model.free_run import FreeRun
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers
-from .tracking import as_linear, forces_by_number
-
-STEP = 1e-3
-"""Step of a number for its slope, in units of it."""
+from .tracking import as_linear, forces_by_number, through_reversals
 
 SEEN = 0.1
 """Answer to a number that was given as 0, as it counts for one of size, relative to the motion."""
@@ -29,7 +26,7 @@ SIZES = 10.0 ** np.arange(-6, 7)
 """Sizes that a number given as 0 may have."""
 
 IDLE = 1e-9
-"""Slope of the outputs by a number, relative to the motion, up to which it is rounding."""
+"""Force that a number takes, relative to the inputs, up to which it is rounding."""
 
 RUN_AWAY = 1e3
 """Motion relative to that of the record beyond which a run counts as none."""
@@ -105,31 +102,10 @@ class Problem:
         none = [np.zeros((span.record.samples, span.record.outputs)) for span in self.spans]
         return [Call(span.record.u, w, entries * self.units) for span, w in zip(self.spans, none)]
 
-    def slopes(self, runs: Runs, entries: Float[np.ndarray, " numbers"]) -> list[np.ndarray]:
-        """Slopes of the outputs of runs by the entries, by finite differences."""
-        count, steps = len(self.spans), STEP * np.eye(len(entries))
-        calls = [call for step in steps for call in self.called(entries + step, runs)]
-        made, signs = self.simulator.runs(calls), np.ones(len(entries))
-        for j, step in enumerate(steps):
-            here = slice(j * count, (j + 1) * count)
-            if any(isinstance(y, Failure) for y in made[here]):
-                # What more of a number is too much for, as of an efficiency of one, less may not be.
-                signs[j] = -1.0
-                less = self.called(entries - step, runs)
-                again = self.simulator.runs(less)
-                worse = any(isinstance(y, Failure) for y in again)
-                failed = zip(calls[here], made[here]) if worse else zip(less, again)
-                made[here] = [self.simulator.finished(call, y) for call, y in failed]
-        result = []
-        for k, y in enumerate(runs.y):
-            columns = [(made[j * count + k] - y) / (signs[j] * STEP) for j in range(len(entries))]
-            result.append(np.stack(columns, axis=2) if columns else np.zeros((*y.shape, 0)))
-        return result
-
-    def idle_by(self, slopes: list[np.ndarray]) -> Bool[np.ndarray, " numbers"]:
-        """Which numbers move no output of the records."""
-        size = [np.nanstd(span.record.y, axis=0)[:, None] for span in self.spans]
-        return np.all([np.all(np.abs(S) <= IDLE * one, axis=(0, 1)) for S, one in zip(slopes, size)], axis=0)
+    def idle_by(self, forces: tuple[np.ndarray, ...]) -> Bool[np.ndarray, " numbers"]:
+        """Which numbers take no force of their own, from the forces that they take."""
+        size = max(float(np.max(np.abs(span.record.u @ self.plant.input_map.T))) for span in self.spans)
+        return np.all([np.all(np.abs(S) <= IDLE * size, axis=(0, 1)) for S in forces], axis=0)
 
     def with_forces(self, runs: Runs) -> Runs:
         """Runs with the forces that the numbers take along their motion."""
@@ -140,10 +116,20 @@ class Problem:
         ]
         return dataclasses.replace(runs, by_number=tuple(forces))
 
-    def with_slopes(self, runs: Runs, entries: Float[np.ndarray, " numbers"]) -> Runs:
-        """Runs with the forces by which the linear plant follows the numbers as the simulator itself does."""
+    def bridged(self, runs: Runs) -> Runs:
+        """Runs as if their forces acted through reversals as well: in the linear plant they do."""
+        calls = [
+            dataclasses.replace(call, w=through_reversals(self.plant, span.record, call.w, y))
+            for span, call, y in zip(self.spans, runs.calls, runs.y)
+        ]
+        return dataclasses.replace(runs, calls=tuple(calls))
+
+    def with_slopes(self, runs: Runs, wholes: "Linear") -> Runs:
+        """Runs with the forces by which the linear plant follows the numbers as the simulator itself does, from those
+        that they take along the motion."""
         forces = []
-        for span, S in zip(self.spans, self.slopes(runs, entries)):
+        for span, y, taken in zip(self.spans, runs.y, wholes.by_number):
+            S = self.plant.varying.response(-taken, y, span.record.sampling_time)
             columns = [-self.plant.forces_of(S[:, :, k], span.record)[0] for k in range(S.shape[2])]
             forces.append(np.stack(columns, axis=2) if columns else S)
         return dataclasses.replace(runs, by_number=tuple(forces))
@@ -268,6 +254,15 @@ class Linear:
     states: tuple[np.ndarray, ...]
     data: tuple[Data, ...]
     by_number: tuple[np.ndarray, ...]
+
+    def with_numbers(self, by_number: tuple[np.ndarray, ...]) -> "Linear":
+        """The same, where the numbers take other forces."""
+        records = []
+        for record, forces in zip(self.records, by_number):
+            columns = np.moveaxis(forces, 2, 1).reshape(record.samples, -1)
+            u = np.concatenate([record.u[:, : record.inputs - columns.shape[1]], columns], axis=1)
+            records.append(dataclasses.replace(record, u=u))
+        return Linear(tuple(records), self.states, tuple(map(Data.of, records)), by_number)
 
     def extended(self, candidate: Candidate) -> Candidate:
         """A candidate with first states for all records, those of the fit its own."""

@@ -4,7 +4,6 @@ import functools
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import scipy.optimize
 
 from ...mechanics.drives import Force
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect
@@ -19,7 +18,6 @@ from ..findings import NOT_SIMULATED, Rejected
 from ..model.candidate import Candidate
 from ..model.simulator import steps_of
 from ..noise.floor import independent_floor
-from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..search.forward import select_forward
 from ..search.state import SearchState, is_local
@@ -32,17 +30,8 @@ from .problem import Linear, Problem, Runs, Span, sized
 from .settling import Settled, refit_of_numbers, settle
 from .tracking import tracked
 
-ROUNDS = 3
-"""Gauss-Newton steps for the numbers before laws are looked for."""
-
-SHORTENED = 1.0, 0.3, 0.1
-"""Shares of a step that are tried."""
-
 REPEATED = 1e-9
 """Difference of two runs with the same inputs, relative to the motion, that rounding may make."""
-
-ENOUGH = 0.999
-"""Share of the sum of squares that a step must leave at most, for another one."""
 
 
 def diagnose_simulator(
@@ -89,27 +78,26 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     problem.units = units
     progress.unlimited.stage("linearizing the simulator")
     problem.plant = linearized(simulator, first, baseline.calls[0], baseline.y[0], rng)
-    progress.unlimited.stage("fitting the simulator's numbers")
-    entries, fitted = fit_numbers(problem, start, baseline)
-
-    about = fitted if _explained(problem, fitted) else baseline
-    if about is baseline:
-        # Fitted without a law that is missing, the numbers are further off than they were.
-        entries = start
     progress.unlimited.stage("looking for the force that it lacks")
-    substeps = steps_of(problem.linear_model(), first.sampling_time)
-    linear = problem.linear_simulator(entries, substeps)
     followed = [
-        tracked(simulator, linear, problem.plant, span.record, call, y)
-        for span, call, y in zip(problem.spans, about.calls, about.y)
+        tracked(simulator, problem.plant, span.record, call, y)
+        for span, call, y in zip(problem.spans, baseline.calls, baseline.y)
     ]
     about = problem.with_forces(Runs(*(tuple(x) for x in zip(*followed))))
-    wholes, begin = problem.linear_data(about), None
+    problem.idle = problem.idle_by(about.by_number)
+    linear = problem.linear_simulator(start, steps_of(problem.linear_model(), first.sampling_time))
+    wholes, begin = problem.linear_data(problem.bridged(about)), None
+    progress.unlimited.stage("fitting the simulator's numbers")
+    context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
+    fitted = _numbers_alone(problem, context, Candidate(start, wholes.states[: len(context.data)]), wholes)
+    if fitted is not None and is_white(parts_of(problem, fitted.y)[0]):
+        # The numbers explain it all: what they were is nothing that a law has to stand for.
+        linear, wholes, begin = fitted.linear, fitted.wholes.with_numbers(about.by_number), fitted.candidate
     states: list[SearchState] = []
     settled: list[Settled] = []
     while len(settled) <= max_effects:
         context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
-        begin = Candidate(np.array(entries), wholes.states[: len(context.data)]) if begin is None else begin
+        begin = Candidate(start, wholes.states[: len(context.data)]) if begin is None else begin
         state = select_forward(context, begin, min(1, max_effects - len(settled)))
         states.append(state)
         law = offered(context, state) if len(settled) < max_effects else None
@@ -123,7 +111,7 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
             state.accepted, state.unexplained, state.fit = [], True, None
             break
         plain = problem.begun(baseline.y)
-        before = settled[-1].y if settled else nearer(problem, problem.begun(fitted.y), plain)
+        before = settled[-1].y if settled else plain if fitted is None else nearer(problem, fitted.y, plain)
         local = is_local(context, law.attempt.score.shape.effect)
         gain = gain_between(problem, context, before, now.y, plain, local=local)
         if (why := unproven(gain)) is not None:
@@ -137,44 +125,19 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
         settled.append(now)
         linear, wholes, begin = now.linear, now.wholes, now.candidate
     if not settled:
-        settled.append(settle(problem, context, refit_of_numbers(context, begin), wholes))
+        if fitted is None:
+            detail = "it does not run with the numbers that the record asks for"
+            raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
+        settled.append(fitted)
     return diagnosis_of(problem, context, states, settled, baseline=baseline, fitted=fitted, start=start)
 
 
-def fit_numbers(problem: Problem, entries: np.ndarray, runs: Runs) -> tuple[np.ndarray, Runs]:
-    """The numbers that bring the runs nearest to the records, and these runs."""
-    for _ in range(ROUNDS if len(entries) else 0):
-        weight = _weight(problem, runs)
-        slopes = problem.slopes(runs, entries)
-        if problem.idle is None:
-            problem.idle = problem.idle_by(slopes)
-        e, J = _errors(problem, runs.y, weight), _table(problem, slopes, weight)
-        step = scipy.optimize.lsq_linear(J, e, (-entries, np.full(len(entries), np.inf))).x
-        step[problem.idle] = 0.0
-        for share in SHORTENED:
-            trial = problem.tried(problem.called(entries + share * step, runs))
-            left = np.inf if trial is None else float(np.sum(_errors(problem, trial.y, weight) ** 2))
-            if left < float(e @ e):
-                break
-        else:
-            break
-        entries, runs = entries + share * step, trial
-        if left > ENOUGH * float(e @ e):
-            break
-    return entries, runs
-
-
-def _weight(problem: Problem, runs: Runs) -> np.ndarray:
-    """One over the noise of every output, as far as the runs show it."""
-    span = problem.spans[0]
-    run = span.run(runs.y[0], span.fit)
-    noise = np.sqrt(np.maximum(white_part(run.e, run.kept), 0.0))
-    return 1 / np.maximum(noise, 1e-3 * np.maximum(run.rmse, 1e-300))
-
-
-def _explained(problem: Problem, runs: Runs) -> bool:
-    """Whether runs leave no more than white noise of the records of the fit."""
-    return is_white(parts_of(problem, problem.begun(runs.y))[0])
+def _numbers_alone(problem: Problem, context: SearchContext, begin: Candidate, wholes: Linear) -> Settled | None:
+    """The numbers without any law; None where the simulator does not run with them."""
+    try:
+        return settle(problem, context, refit_of_numbers(context, begin), wholes)
+    except ComputationError:
+        return None
 
 
 def _check_repeatable(problem: Problem, runs: Runs) -> None:
@@ -184,17 +147,6 @@ def _check_repeatable(problem: Problem, runs: Runs) -> None:
     if far > REPEATED * float(np.std(runs.y[0])):
         detail = f"it gave outputs that differ by {far:.3g} for the same inputs; it must begin anew, without chance"
         raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
-
-
-def _errors(problem: Problem, y: tuple[np.ndarray, ...], weight: np.ndarray | float = 1.0) -> np.ndarray:
-    """Errors of all samples of the fit, weighted."""
-    return np.concatenate([(run.e * weight)[run.kept] for run in parts_of(problem, y)[0]])
-
-
-def _table(problem: Problem, slopes: list[np.ndarray], weight: np.ndarray) -> np.ndarray:
-    """Slopes at all samples of the fit, weighted."""
-    parts = [(span, S) for span, S in zip(problem.spans, slopes) if span.fit is not None]
-    return np.concatenate([(S[span.fit] * weight[:, None])[np.isfinite(span.record.y[span.fit])] for span, S in parts])
 
 
 def _context(problem, linear, wholes: Linear, catalogue, separate, rng, progress) -> SearchContext:

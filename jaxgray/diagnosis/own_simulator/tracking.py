@@ -1,30 +1,47 @@
-"""The force that brings a simulator to the record: iterative learning with the inverse of its linear plant.
+"""The force that brings a simulator to the record: iterative learning, every force the most likely one in its linear
+plant as it varies along the last run.
 
-**Reference:** Moore, *Iterative Learning Control for Deterministic Systems*, Springer 1993; the state of the error by
-fixed-interval smoothing, so that noise is not followed.
+**Reference:** Moore, *Iterative Learning Control for Deterministic Systems*, Springer 1993.
 """
 
+import dataclasses
+from dataclasses import dataclass
+
 import numpy as np
+import scipy.ndimage
 from jaxtyping import Float
 
 from ...records import Record
-from ..model.candidate import Candidate, Data
-from ..screening.linearization import measured_motion, stage_of
+from ..noise.whitening import white_part
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
-from .numbers import NumbersSimulator
 
 ROUNDS = 6
 """Runs of the simulator at most."""
 
+APPROACHES = 16
+"""Runs at most until none is far from the record."""
+
+NEAR, NEAREST = 0.25, 0.02
+"""Error, relative to the motion, up to which a linear plant leads to the record; and the least that is tried for it."""
+
+CORRELATED = 50.0
+"""Samples over which a force that is looked for stays about as it is."""
+
+FORCES = np.array([1.0, 0.3, 0.1, 0.03, 0.01])
+"""Sizes of that force that are tried, relative to those of the inputs."""
+
+ROUNDING = 1e-6
+"""Least noise, relative to the motion."""
+
+BESIDE = 2
+"""Samples beside a reversal at which derivatives still see it."""
+
 ENOUGH = 0.95
 """Share of the error that a round must leave at most, for another one."""
 
-NUMBER = 0.02
+NUMBER = 1e-3
 """Step of a number, in units of it, for the force that it takes."""
-
-NUMBER_ROUNDS = 3
-"""Runs for that force: each leaves half of the error or less, and mixed they leave less."""
 
 
 def as_linear(
@@ -62,34 +79,8 @@ def as_linear(
     ), x0
 
 
-class Follower:
-    """Forces that lead to outputs that are wanted, from runs: each in the direction of the inverse of the linear plant,
-    all mixed so that what they leave is least.
-
-    **Reference:** Anderson, *Iterative procedures for nonlinear integral equations*, J. ACM 12 (1965) 547-560.
-    """
-
-    def __init__(self, plant: Linearized, record: Record):
-        self.plant, self.record, self.size = plant, record, _motion(record)
-        self.forces: list[np.ndarray] = []
-        self.errors: list[np.ndarray] = []
-
-    def next(self, force, error, y) -> Float[np.ndarray, "samples dofs"]:
-        """Forces to try, after some forces, what is missing of the wanted outputs under them, and these outputs."""
-        self.forces.append(force + self.plant.forces_beside(error, y, self.record))
-        self.errors.append(error / self.size)
-        last = self.errors[-1].ravel()
-        if len(self.errors) == 1:
-            return self.forces[-1]
-        changes = np.stack([(last - e.ravel()) for e in self.errors[:-1]], axis=1)
-        weights = np.linalg.lstsq(changes, last, rcond=1e-6)[0]
-        steps = [w * (self.forces[-1] - f) for w, f in zip(weights, self.forces[:-1])]
-        return self.forces[-1] - np.sum(steps, axis=0)
-
-
 def tracked(
     simulator: Simulator,
-    numbers: NumbersSimulator,
     plant: Linearized,
     record: Record,
     call: Call,
@@ -99,14 +90,10 @@ def tracked(
 
     **Arguments:** `simulator`; `numbers`, of the same plant; `plant`; `record`; `call` to begin with and its outputs.
     """
-    none = np.zeros((*y.shape, len(numbers.setup.here)))
-    follower, best, size = Follower(plant, record), (call, y), _size(record, y)
+    call, y = approached(simulator, plant, record, call, y)
+    best, size = (call, y), _size(record, y)
     for _ in range(ROUNDS):
-        linear, x0 = as_linear(record, plant, Call(call.u, np.zeros_like(call.w), call.numbers), y, none)
-        data = Data.of(linear)
-        stage = stage_of(numbers, Candidate(numbers.setup.here, (x0,)), data)
-        error = measured_motion(stage, data).q[: len(y)] - stage.motion.q[: len(y)]
-        call = Call(call.u, follower.next(call.w, error, y), call.numbers)
+        call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
         y = simulator.tried(call)
         now = np.inf if y is None else _size(record, y)
         before, size = size, min(now, size)
@@ -117,6 +104,122 @@ def tracked(
     return best
 
 
+def approached(
+    simulator: Simulator,
+    plant: Linearized,
+    record: Record,
+    call: Call,
+    y: Float[np.ndarray, "samples dofs"],
+) -> tuple[Call, np.ndarray]:
+    """The call whose outputs are near a record for longest, and those outputs.
+
+    A linear plant leads to what is near, so that a run is led to the record up to where it leaves it; what comes after
+    begins where the record is, and stays near it for longer.
+
+    **Arguments:** as `tracked`.
+    """
+    limit, end = NEAR, _near_until(record, y, NEAR)
+    for _ in range(APPROACHES):
+        if end in (0, len(y)) or limit < NEAREST:
+            break
+        end = max(min(end, _near_until(record, y, limit)), 2)
+        known = np.where(np.arange(len(y))[:, None] < end, record.y, np.nan)
+        force = following_force(plant, dataclasses.replace(record, y=known), call.w, y)
+        trial = Call(call.u, force, call.numbers)
+        there = simulator.tried(trial)
+        reached = -1 if there is None else _near_until(record, there, limit)
+        if reached > end:
+            call, y, end = trial, there, _near_until(record, there, NEAR)
+        else:
+            limit /= 2
+    return call, y
+
+
+def _near_until(record: Record, y: np.ndarray, limit: float) -> int:
+    """The sample at which a run leaves a record, as many as there are where it does not."""
+    far = np.any(np.abs(record.y - y) > limit * _motion(record), axis=1)
+    return int(np.argmax(far)) if np.any(far) else len(y)
+
+
+def following_force(
+    plant: Linearized, record: Record, w: Float[np.ndarray, "samples dofs"], y: Float[np.ndarray, "samples dofs"]
+) -> Float[np.ndarray, "samples dofs"]:
+    """The force under which a simulator follows a record as far as its noise allows: the most likely one of limited
+    size and speed, in the plant as it varies along a run.
+
+    **Arguments:** `plant`; `record`: NaN where it is not to be followed; `w`, `y`: forces and outputs of the run.
+
+    **Reference:** Rauch, Tung & Striebel, AIAA J. 3 (1965) 1445-1450.
+    """
+    dofs, e, kept = y.shape[1], record.y - y, np.isfinite(record.y)
+    A, B = plant.varying.sampled(y, record.sampling_time)
+    motion = _motion(record)
+    noise = np.maximum(white_part(np.where(kept, e, 0.0), kept), (ROUNDING * motion) ** 2)
+    force = np.maximum(np.mean((record.u @ plant.input_map.T) ** 2, axis=0), 1e-300)
+    stays = np.exp(-1.0 / CORRELATED)
+    F = np.concatenate([np.concatenate([A, B], axis=2), np.zeros((len(y), dofs, 3 * dofs))], axis=1)
+    F[:, 2 * dofs :, 2 * dofs :] = stays * np.eye(dofs)
+    # The run has its own forces already.
+    less = np.concatenate([np.einsum("kij,kj->ki", -B, w), np.zeros_like(w)], axis=1)
+    C, states = np.eye(3 * dofs)[:dofs], np.concatenate([motion, motion / (CORRELATED * record.sampling_time)]) ** 2
+
+    def filtered(size: float, begins: float) -> _Filtered:
+        Q = np.diag(np.concatenate([0.0 * states, (1 - stays**2) * size**2 * force]))
+        return _filtered(F, less, Q, np.diag(np.concatenate([begins * states, size**2 * force])), C, noise, e)
+
+    best = max(FORCES, key=lambda size: filtered(size, 0.0).likelihood)
+    same, other = filtered(best, 0.0), filtered(best, 1.0)
+    # A record that begins in another state than the run does: no force mends that.
+    elsewhere = other.likelihood - same.likelihood > dofs * np.log(len(y))
+    return (other if elsewhere else same).smoothed(F)[:, 2 * dofs :]
+
+
+@dataclass(frozen=True)
+class _Filtered:
+    """States before (`ahead`) and after every sample was seen, and their covariances; the log-likelihood of it all."""
+
+    ahead: np.ndarray
+    after: np.ndarray
+    spread_ahead: np.ndarray
+    spread_after: np.ndarray
+    likelihood: float
+
+    def smoothed(self, F: np.ndarray) -> np.ndarray:
+        """The most likely states given all samples."""
+        size = np.sqrt(np.maximum(np.einsum("kii->ki", self.spread_ahead[1:]), 1e-300))
+        # A first state that is known has no spread.
+        scaled = self.spread_ahead[1:] / size[:, :, None] / size[:, None] + 1e-12 * np.eye(size.shape[1])
+        across = F[:-1] @ self.spread_after[:-1] / size[:, :, None]
+        back = np.swapaxes(np.linalg.solve(scaled, across), 1, 2) / size[:, None]
+        x = self.after.copy()
+        for k in range(len(x) - 2, -1, -1):
+            x[k] += back[k] @ (x[k + 1] - self.ahead[k + 1])
+        return x
+
+
+def _filtered(F, known, Q, P, C, noise, e) -> _Filtered:
+    """The Kalman filter of x⁺ = F x + known + noise of covariance Q, from covariance P about 0, seen as C x with noise
+    in e, NaN where it is not seen."""
+    samples, x, likelihood = len(e), np.zeros(len(P)), 0.0
+    seen = np.isfinite(e)
+    ahead, after = np.empty((2, samples, len(P)))
+    spread_ahead, spread_after = np.empty((2, samples, *P.shape))
+    for k in range(samples):
+        ahead[k], spread_ahead[k] = x, P
+        rows = C[seen[k]]
+        if len(rows):
+            S = rows @ P @ rows.T + np.diag(noise[seen[k]])
+            error = e[k, seen[k]] - rows @ x
+            gain = np.linalg.solve(S, rows @ P).T
+            likelihood -= 0.5 * (np.linalg.slogdet(S)[1] + error @ np.linalg.solve(S, error))
+            x = x + gain @ error
+            P = P - gain @ rows @ P
+            P = (P + P.T) / 2
+        after[k], spread_after[k] = x, P
+        x, P = F[k] @ x + known[k], F[k] @ P @ F[k].T + Q
+    return _Filtered(ahead, after, spread_ahead, spread_after, float(likelihood))
+
+
 def forces_by_number(
     simulator: Simulator,
     plant: Linearized,
@@ -125,34 +228,44 @@ def forces_by_number(
     y: Float[np.ndarray, "samples dofs"],
     units: Float[np.ndarray, " numbers"],
 ) -> Float[np.ndarray, "samples dofs numbers"]:
-    """By how much more force every number takes for the same motion, for each of its units.
+    """By how much more force every number takes for the same motion, for each of its units, to first order: what brings
+    a run with a little more of it back.
 
     **Arguments:** `simulator`; `plant`; `record`; `call` and its outputs `y`; `units` of the numbers.
+
+    **Raises:** `ComputationError` where the simulator runs neither with more nor with less of a number.
     """
     steps = NUMBER * np.diag(units)
-    followers = [Follower(plant, record) for _ in units]
-    forces, nearest, left = [call.w] * len(units), [call.w] * len(units), [np.inf] * len(units)
-    ahead = list(forces)
-    for _ in range(NUMBER_ROUNDS if len(units) else 0):
-        calls = [Call(call.u, w, call.numbers + step) for w, step in zip(forces, steps)]
-        for k, (one, there) in enumerate(zip(calls, simulator.runs(calls))):
-            if isinstance(there, Failure) and left[k] == np.inf:
-                simulator.finished(one, there)
-            size = np.inf
-            if not isinstance(there, Failure):
-                error = y - there
-                with np.errstate(over="ignore"):
-                    size = float(np.sqrt(np.mean((error / _motion(record)) ** 2)))
-            if size < left[k]:
-                nearest[k], left[k] = one.w, size
-                ahead[k] = followers[k].next(one.w, error, y)
-            else:
-                # No nearer, or run away: half way to where that was to lead.
-                ahead[k] = (nearest[k] + ahead[k]) / 2
-            forces[k] = ahead[k]
-    # The last forces were not tried.
-    found = [(w - call.w) / NUMBER for w in forces]
+    calls = [Call(call.u, call.w, call.numbers + step) for step in steps]
+    found = []
+    for one, there, step in zip(calls, simulator.runs(calls), steps):
+        sign = 1.0
+        if isinstance(there, Failure):
+            # What more of a number is too much for, as of an efficiency of one, less may not be.
+            sign, less = -1.0, Call(call.u, call.w, call.numbers - step)
+            again = simulator.runs([less])[0]
+            there = simulator.finished(*((one, there) if isinstance(again, Failure) else (less, again)))
+        taken = sign * plant.forces_beside(y - there, y, record) / NUMBER
+        found.append(through_reversals(plant, record, taken, y))
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
+
+
+def through_reversals(
+    plant: Linearized, record: Record, force: Float[np.ndarray, "samples dofs"], y: Float[np.ndarray, "samples dofs"]
+) -> Float[np.ndarray, "samples dofs"]:
+    """Forces with straight lines where dry friction takes what is asked for, and nothing of a run `y` answers."""
+    n, result = np.arange(len(force)), force.copy()
+    for column, rows in zip(result.T, plant.varying.in_motion(y, record.sampling_time)):
+        known = scipy.ndimage.binary_erosion(rows, iterations=BESIDE, border_value=1)
+        if not np.any(known):
+            continue
+        # From the mean of some samples beside.
+        count, total = (
+            scipy.ndimage.uniform_filter1d(np.where(known, x, 0.0), 2 * BESIDE + 1, mode="nearest")
+            for x in (np.ones(len(n)), column)
+        )
+        column[~known] = np.interp(n, n[known], total[known] / count[known])[~known]
+    return result
 
 
 def _size(record: Record, y: np.ndarray) -> float:

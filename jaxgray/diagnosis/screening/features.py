@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ...mechanics.drives import Force
 from ...mechanics.effects.base import (
     AbstractEffect,
     AbstractForceEffect,
@@ -112,6 +113,9 @@ def features(
     all_shapes, groups = [], {}
     outputs = len(output_names)
     for effect in catalogue:
+        if _kind(effect) == "force" and effect.places == "input" and not isinstance(plant.drive, Force):
+            # An acceleration of the base is no force that is transmitted.
+            continue
         if effect.scheduled and not np.any(data.scheduling):
             continue
         places = [p for p in places_of(effect, input_names, output_names) if (effect.id, p.name) not in taken]

@@ -7,6 +7,7 @@ import textwrap
 import numpy as np
 
 from ...mechanics.drives import Force
+from ...mechanics.effects import CATALOGUE
 from ...numerics.text import listed, plus_minus
 from .. import settings
 from ..findings import DiagnosisFields, Finding, Gain, ParameterShift
@@ -184,7 +185,8 @@ def _named(diagnosis: DiagnosisFields, causes: list[Finding], head: str) -> str:
         sentence += " This record cannot tell them apart" + (
             "; an experiment that can is proposed." if proposed else "."
         )
-    return sentence
+    members = {m.effect for f in causes if f.status == "equivalent" for m in f.members}
+    return " ".join([sentence, *(e.told_apart for e in CATALOGUE if e.id in members and e.told_apart)])
 
 
 def _altered(diagnosis: DiagnosisFields, finding: Finding) -> str:

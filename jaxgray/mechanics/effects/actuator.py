@@ -10,6 +10,7 @@ import numpy as np
 
 from ...numerics.lifting import respond
 from .base import AbstractForceEffect, AbstractInputEffect, Parameter
+from .friction import SLOWEST
 
 SAMPLES = (0.5, 2.0, 8.0)
 """Typical delays and lags, in samples."""
@@ -305,3 +306,47 @@ class InputPositionGain(AbstractForceEffect):
 
     def force(self, p, here, z):
         return -p[0] * here.u * jnp.where(p[1] < 0.5, here.q, here.v)
+
+
+class SpeedForceLimit(AbstractForceEffect):
+    """The largest force falls with the speed (motors on a limited voltage, engines, hydraulic pumps).
+
+    Its law is on the left side: f is what the command asks for and the plant does not get. The form "voltage" gives
+    back while braking what the induced voltage takes while driving: −u0 − c·v ≤ u ≤ u0 − c·v.
+    """
+
+    id = "speed_force_limit"
+    family = "actuator"
+    law = "applied force clip(u, ±(u0 − c·|v|))"
+    parameters = (
+        Parameter("u0", (1, 0, 0), lower=0.0),
+        Parameter("c", (1, -1, 1), lower=0.0),
+        Parameter("form", lower=0.0, upper=1.0, counts=False, choices=("speed", "voltage")),
+    )
+    parity = "odd"
+    contains = ("input_saturation",)
+    renamed = ("input_saturation",)
+    signature = "bursts of residual where command and speed are large together"
+    reference = "Siciliano, Sciavicco, Villani & Oriolo, Robotics: Modelling, Planning and Control, Springer 2009, §5.2"
+    places = "input"
+
+    def shapes(self, scales):
+        at_rest, speed = (scales.u_quantiles[3], 1.2 * scales.u_peak), max(scales.v_peak, SLOWEST)
+        return [
+            np.array([u0, share * u0 / speed, form]) for u0, share in zip(at_rest, (0.3, 0.7)) for form in (0.0, 1.0)
+        ]
+
+    def basis(self, p):
+        return [np.array(p, dtype=float)]
+
+    def combine(self, p, weights):
+        return self.bounded(p)
+
+    def widened(self, p, simple):
+        return self.bounded([simple.get("limit", p[0]), *p[1:]])
+
+    def force(self, p, here, z):
+        # Of the speed against the command nothing is taken away, but what is given back.
+        driving = jnp.where(p[2] < 0.5, jnp.abs(here.v), here.v * jnp.sign(here.u))
+        limit = jnp.maximum(p[0] - p[1] * driving, 0.0)
+        return here.u - jnp.clip(here.u, -limit, limit)

@@ -170,6 +170,34 @@ class PositionDependentFriction(AbstractForceEffect):
         return size * direction(here, eps)
 
 
+class LoadFriction(AbstractForceEffect):
+    """Dry friction in proportion to the force that is transmitted (gears, ball screws, guides under load).
+
+    Of a load that hardly varies it is Coulomb friction; another payload tells them apart.
+    """
+
+    id = "load_friction"
+    family = "friction"
+    law = "f = mu·|u|·tanh(v/eps), u the force of the input, eps fixed"
+    parameters = (Parameter("mu", lower=0.0, amplitude=True), _EPS)
+    parity = "odd"
+    signature = "square wave in phase with the velocity, larger where the input is large"
+    reference = "Hamon, Gautier & Garrec, IEEE/RSJ Int. Conf. on Intelligent Robots and Systems (2010) 6187-6193"
+    jumps = True
+    places = "input"
+    told_apart = "Put another payload on: friction of the load changes with it, Coulomb friction stays."
+
+    def shapes(self, scales):
+        return [np.array([1.0, WIDTH * scales.v])]
+
+    def rubbing(self, p, here):
+        return p[0] * jnp.abs(here.u), p[1]
+
+    def force(self, p, here, z):
+        size, eps = self.rubbing(p, here)
+        return size * direction(here, eps)
+
+
 class FractionalDamping(AbstractForceEffect):
     """Structural damping: a fractional derivative of the displacement, between spring and damper.
 
