@@ -4,7 +4,7 @@
 
 The record is that of the same equations with the true numbers and one hidden effect, the noise 0.2 to 1 % of the
 motion (tests/pendulum.py); the user's four numbers are 3 % off each. A hidden Coulomb friction belongs to the user's
-own number. A round looks for one law: as many rounds as laws were found, and one more. Seeds 1 to 149 served
+own number. A round looks for one law: as many rounds as laws were found, and one more. Seeds 1 to 299 served
 development.
 """
 
@@ -37,8 +37,8 @@ SIZES = {
     "input_delay": (0.003, 0.02),
     "input_saturation": (0.7, 0.9),
 }
-"""Least and largest: of the stop and the saturation in shares of the largest angle and torque of the data of the fit or of
-those held out, whichever is less, so that both reach them; the delay in s."""
+"""Least and largest: of the stop and the saturation in shares of the largest angle and torque of the data of the fit,
+or of those held out where that is less, so that both reach them; the delay in s."""
 SAME = {"end_stop": {"end_stop", "dead_zone_stiffness"}}
 """What is the same law under another name."""
 

@@ -44,17 +44,13 @@ def payloads(seed, weights):
     level = draws.log_uniform(rng, 0.3, 30.0)
     mu = rng.uniform(0.15, 0.35) / WEIGHTS[-1]
     records = []
-    for held in range(2):
-        for weight in weights:
-            moving = draws.excitation(rng, "noise", SAMPLES, np.array([level]))
-            u = moving + weight * level
-            effects = [
-                Effect("load_friction", "u1", {"mu": mu}),
-                Effect("constant_force", "y1", {"f0": weight * level}),
-            ]
-            y = simulate(system, u, H, effects)
-            noise = rng.uniform(0.05, 0.1) * y.std(axis=0)
-            records.append(jaxgray.Record(u, y + noise * rng.standard_normal(y.shape), H))
+    for weight in (*weights, *weights):
+        moving = draws.excitation(rng, "noise", SAMPLES, np.array([level]))
+        u = moving + weight * level
+        effects = [Effect("load_friction", "u1", {"mu": mu}), Effect("constant_force", "y1", {"f0": weight * level})]
+        y = simulate(system, u, H, effects)
+        noise = rng.uniform(0.05, 0.1) * y.std()
+        records.append(jaxgray.Record(u, y + noise * rng.standard_normal(y.shape), H))
     return records[: len(weights)], records[len(weights) :], mu
 
 
@@ -85,12 +81,14 @@ def static(seed):
     if law == "play_hysteresis":
         y = u / k + share / k * _play(u, rng.uniform(0.2, 0.6) * level)
     else:
-        force = {
-            "dead_zone_stiffness": lambda y, gap=rng.uniform(0.1, 0.25) * free: share * 4 * k * _outside(y, gap),
-            "end_stop": lambda y, gap=rng.uniform(0.6, 0.8) * free: share * 6 * k * _outside(y, gap),
-            "cubic_stiffness": lambda y: share * k * y**3 / free**2,
-        }[law]
-        y = np.array([scipy.optimize.brentq(lambda q: k * q + force(q) - x, -2 * free, 2 * free) for x in u])
+        gap = rng.uniform(*{"dead_zone_stiffness": (0.1, 0.25)}.get(law, (0.6, 0.8))) * free
+
+        def left(q, load):
+            if law == "cubic_stiffness":
+                return k * q + share * k * q**3 / free**2 - load
+            return k * q + share * 5 * k * _outside(q, gap) - load
+
+        y = np.array([scipy.optimize.brentq(left, -2 * free, 2 * free, args=(load,)) for load in u])
     noise = rng.uniform(0.002, 0.01) * y.std()
     records = [jaxgray.Record(u, y + noise * rng.standard_normal(n), H)]
     return records, [], law

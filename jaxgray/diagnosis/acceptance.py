@@ -9,7 +9,7 @@ import abc
 
 import numpy as np
 
-from ..mechanics.effects.base import Term
+from ..mechanics.effects.base import Parameter, Term
 from . import settings
 from .findings import Gain, Reason, Refusal
 
@@ -87,10 +87,16 @@ def at_its_bound(parameter: str) -> Refusal:
 
 
 def bound_of(term: Term, estimated: list[int]) -> str | None:
-    """The first of the estimated parameters of a term that lies on a physical bound, None for none."""
-    for j in estimated:
-        parameter, value = term.effect.parameters[j], float(term.values[j])
-        for bound in (parameter.lower, parameter.upper):
-            if np.isfinite(bound) and abs(value - bound) <= 1e-9 * max(abs(bound), abs(value), 1e-300):
-                return parameter.name
+    """The first of the estimated parameters of a term that lies on a physical bound, None for none. Of a list, with all
+    of it: with some of it the list is shorter."""
+    names = [term.effect.parameters[j].name for j in estimated]
+    bound = [_on_bound(term.effect.parameters[j], float(term.values[j])) for j in estimated]
+    for name in names:
+        if all(on for other, on in zip(names, bound) if other == name):
+            return name
     return None
+
+
+def _on_bound(parameter: Parameter, value: float) -> bool:
+    sides = (bound for bound in (parameter.lower, parameter.upper) if np.isfinite(bound))
+    return any(abs(value - bound) <= 1e-9 * max(abs(bound), abs(value), 1e-300) for bound in sides)

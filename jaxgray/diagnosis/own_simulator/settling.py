@@ -64,8 +64,7 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     for turn in range(SETTLING):
         context.progress.unlimited.stage(f"settling in the simulator ({turn + 1})")
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
-        # Without laws there is no other run to fall back on.
-        runs = problem.tried(calls) if candidate.terms else problem.runs(calls)
+        runs = problem.tried(calls if candidate.terms else problem.called(candidate.entries))
         if runs is None:
             break
         if turn == 0 and not candidate.terms:

@@ -148,7 +148,8 @@ class SineStiffness(AbstractForceEffect):
     resembles = "hardening"
 
     def shapes(self, scales):
-        return [np.array([1.0, scales.q_peak / angle]) for angle in (0.5, 1.0, 2.0, 4.0)]
+        # Up to what a magnet does once, and many poles over the way.
+        return [np.array([1.0, scales.q_peak / angle]) for angle in (0.5, 1.0, 2.0, 4.0, 10.0, 25.0)]
 
     def unresolved(self, p, scales):
         angle = scales.q_peak / max(p[1], SHORTEST)
