@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from .report.exports import to_scipy as to_scipy
     from .report.page import write_report as write_report
     from .report.simulated import write_simulation as write_simulation
+    from .simulators import FmuSimulator as FmuSimulator
     from .simulators import MujocoSimulator as MujocoSimulator
 
 _prepare()
@@ -75,7 +76,7 @@ _HOMES = {
     "report.page": ("write_report",),
     "report.exports": ("export", "to_control", "to_scipy"),
     "report.simulated": ("write_simulation",),
-    "simulators": ("MujocoSimulator",),
+    "simulators": ("FmuSimulator", "MujocoSimulator"),
 }
 __all__ = tuple(name for names in _HOMES.values() for name in names)  # noqa: PLE0604
 

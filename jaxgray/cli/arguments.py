@@ -281,13 +281,17 @@ class OwnSimulator:
         str | None,
         _option(
             "--simulator",
-            metavar="FILE.py:FUNCTION|MODEL.xml",
-            help="Judge this simulator y = f(u, w, numbers) instead, or this model of MuJoCo.",
+            metavar="FILE.py:FUNCTION|MODEL.xml|UNIT.fmu",
+            help="Judge this simulator y = f(u, w, numbers) instead, this model of MuJoCo or this FMU.",
         ),
     ] = None
     parameters: Annotated[
         str | None,
-        _option("--parameters", metavar="NAME=X,…", help="The simulator's numbers; of a MODEL.xml their names."),
+        _option("--parameters", metavar="NAME=X,…", help="The simulator's numbers; of a model or FMU their names."),
+    ] = None
+    forces: Annotated[
+        str | None,
+        _option("--forces", metavar="NAME,…", help="Inputs of the UNIT.fmu that are forces at the outputs."),
     ] = None
     mended: Annotated[
         Path | None, _option("--mended", metavar="OUT.xml", help="Write the MODEL.xml with what was found.")

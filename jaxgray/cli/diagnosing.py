@@ -68,8 +68,8 @@ def diagnose(
 
         if simulating.simulator is None:
             options |= {"structure": words(fitting.structure), "fix": fitting.fix, "noise": fitting.noise}
-        elif files.is_mujoco(simulating.simulator):
-            own = files.mujoco_model(simulating.simulator, record, simulating.parameters)
+        elif files.is_mujoco(simulating.simulator) or files.is_fmu(simulating.simulator):
+            own = files.other_program(simulating.simulator, record, simulating.parameters, simulating.forces)
             options = {"simulator": own, "parameters": own.numbers, "workers": simulating.workers}
         else:
             numbers = files.parameters(simulating.parameters)
@@ -156,6 +156,11 @@ def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing, excitation
                     raise ValueError(f"{option} is about a model that is fitted; leave it out with --simulator.")
     if simulating.mended is not None and not files.is_mujoco(simulating.simulator):
         raise ValueError("--mended writes a model of MuJoCo; give --simulator MODEL.xml as well.")
+    if (simulating.forces is not None) != files.is_fmu(simulating.simulator):
+        raise ValueError(
+            f"--forces={simulating.forces} with --simulator={simulating.simulator}: an FMU needs the names of its "
+            "inputs that are forces at the outputs, and nothing else takes them."
+        )
     if simulating.simulator is None and simulating.parameters is not None:
         raise ValueError("--parameters are those of a simulator; give --simulator FILE.py:FUNCTION as well.")
     if simulating.workers < 1:

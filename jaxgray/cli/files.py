@@ -165,20 +165,31 @@ def is_mujoco(text: str | None) -> bool:
     return text is not None and Path(text).suffix.lower() in (".xml", ".mjcf")
 
 
-def mujoco_model(text: str, record: Record, numbers: str | None):
-    """A model of MuJoCo as a simulator of a record; `numbers`: NAME or NAME=X, with commas.
+def is_fmu(text: str | None) -> bool:
+    """Whether a simulator is a functional mock-up unit."""
+    return text is not None and Path(text).suffix.lower() == ".fmu"
 
-    **Raises:** `ValueError` where it does not fit the record, or MuJoCo is missing.
+
+def other_program(text: str, record: Record, numbers: str | None, forces: str | None):
+    """A model of MuJoCo, or a functional mock-up unit with the inputs that are `forces`, as a simulator of a record;
+    `numbers`: NAME or NAME=X, with commas.
+
+    **Raises:** `ValueError` where it does not fit the record, or its program is missing.
     """
-    from ..simulators import MujocoSimulator
+    from ..simulators import FmuSimulator, MujocoSimulator
 
-    given = None
-    if numbers is not None:
-        names = [part.partition("=")[0].strip() for part in words(numbers)]
-        given = MujocoSimulator(text, record, names).numbers
-        given |= parameters(",".join(part for part in words(numbers) if "=" in part)) or {}
+    def made(numbers):
+        if is_mujoco(text):
+            return MujocoSimulator(text, record, numbers)
+        return FmuSimulator(text, record, words(forces or ""), numbers)
+
     try:
-        return MujocoSimulator(text, record, given)
+        given = None
+        if numbers is not None:
+            names = [part.partition("=")[0].strip() for part in words(numbers)]
+            given = made(names).numbers
+            given |= parameters(",".join(part for part in words(numbers) if "=" in part)) or {}
+        return made(given)
     except ImportError as error:
         raise ValueError(f"--simulator={text}: {error}") from None
 

@@ -10,7 +10,7 @@ SECTIONS = {
     "Files and exports": ("load", "save", "export", "to_control", "to_scipy", "write_report", "write_simulation"),
     "Many and long records": ("identify_many", "Identifications", "fleet", "compress", "CompressedRecord"),
     "Inside other programs": ("estimate", "Estimate", "RowWeights", "RESULTS", "ComputationError"),
-    "Simulators of other programs": ("MujocoSimulator",),
+    "Simulators of other programs": ("FmuSimulator", "MujocoSimulator"),
 }
 
 OTHERS = "Others"

@@ -1,8 +1,10 @@
 """Simulators of other programs as functions that a diagnosis runs: y = f(u, w, θ).
 
 mujoco   models of MuJoCo: joints as coordinates, actuators as inputs
+fmu      functional mock-up units: variables as inputs, outputs, forces and numbers
 """
 
+from .fmu import FmuSimulator
 from .mujoco import MujocoSimulator
 
-__all__ = ["MujocoSimulator"]
+__all__ = ["FmuSimulator", "MujocoSimulator"]
