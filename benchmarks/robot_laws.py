@@ -3,8 +3,8 @@ force that falls with the speed, and static records of load and deflection.
 
     python benchmarks/robot_laws.py [--first 1] [--records 20] [--rows two,one,limit,static] [--json OUT]
 
-`two`, `one`: an axis that holds one or two payloads (their weight is many times what moves it, their inertia small
-beside the motor's) with load friction: named, or in a class with Coulomb friction and with what tells them apart.
+`two`, `one`: an axis that pushes one load or, in records of their own, two of them to and fro, with load friction:
+named, or in a class with Coulomb friction and with what tells them apart, since the size of the force never changes.
 `limit`: random systems whose input is limited by the speed. `static`: slow loads on a spring with backlash, a stop, a
 cubic part or hysteresis. Seeds 1 to 99 served development.
 """
@@ -33,25 +33,22 @@ import jaxgray  # noqa: E402
 
 H = 0.01
 SAMPLES = 3000
-WEIGHTS = (10.0, 40.0)
-"""Payloads, in root mean squares of what moves the axis."""
+LOADS = (1.0, 3.0)
+"""Sizes of the force, relative to one another."""
 
 
-def payloads(seed, weights):
-    """Records of one axis with load friction, two of every payload; the last ones are held out."""
+def payloads(seed, loads):
+    """Records of one axis with load friction, two of every load; the last ones are held out."""
     rng = np.random.default_rng([seed, 21])
     system = draws.random_system(rng, 1)
-    level = draws.log_uniform(rng, 0.3, 30.0)
-    mu = rng.uniform(0.15, 0.35) / WEIGHTS[-1]
+    level, mu = draws.log_uniform(rng, 0.3, 30.0), rng.uniform(0.05, 0.25)
     records = []
-    for weight in (*weights, *weights):
-        moving = draws.excitation(rng, "noise", SAMPLES, np.array([level]))
-        u = moving + weight * level
-        effects = [Effect("load_friction", "u1", {"mu": mu}), Effect("constant_force", "y1", {"f0": weight * level})]
-        y = simulate(system, u, H, effects)
-        noise = rng.uniform(0.05, 0.1) * y.std()
+    for load in (*loads, *loads):
+        u = load * level * np.where(draws.steps(rng, SAMPLES) > 0, 1.0, -1.0)[:, None]
+        y = simulate(system, u, H, [Effect("load_friction", "u1", {"mu": mu})])
+        noise = rng.uniform(0.005, 0.02) * y.std()
         records.append(jaxgray.Record(u, y + noise * rng.standard_normal(y.shape), H))
-    return records[: len(weights)], records[len(weights) :], mu
+    return records[: len(loads)], records[len(loads) :], mu
 
 
 def limited(seed):
@@ -117,7 +114,7 @@ def _play(u, r):
 def judged(row, seed):
     began = time.perf_counter()
     if row in ("one", "two"):
-        records, held, truth = payloads(seed, WEIGHTS if row == "two" else WEIGHTS[-1:])
+        records, held, truth = payloads(seed, LOADS if row == "two" else LOADS[:1])
         truth, wanted, place = {"mu": truth}, "load_friction", "u1"
     elif row == "limit":
         records, held, effect = limited(seed)

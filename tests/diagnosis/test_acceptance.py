@@ -82,6 +82,16 @@ def test_a_parameter_at_a_physical_bound_is_named():
     assert bound_of(Term(stop, Place("y1", 0), outside), every) in names
 
 
+def test_a_list_of_which_a_part_is_at_its_bound_is_shorter():
+    law = next(effect for effect in jaxgray.CATALOGUE if effect.id == "play_hysteresis")
+    free = list(range(len(law.parameters)))
+    some = Term(law, Place("u1", 0), np.array([0.2, 0.0, 0.1, 0.5, 0.0, 0.0]))
+    assert bound_of(some, free) is None
+    assert bound_of(Term(law, Place("u1", 0), np.array([0.2, 0.0, 0.1, 0.0, 0.0, 0.0])), free) == "r"
+    stop = Term(EndStop(), Place("y1", 0), np.array([10.0, 0.0]))
+    assert bound_of(stop, [0, 1]) == "gap"
+
+
 class MySpring(CubicStiffness):
     """A law that somebody else adds to the catalogue."""
 

@@ -11,7 +11,7 @@ import scipy.signal
 import jaxgray
 from jaxgray.diagnosis.own_simulator.calls import Call, Simulator, checked_numbers
 from jaxgray.diagnosis.own_simulator.linearized import linearized
-from jaxgray.diagnosis.own_simulator.tracking import forces_by_number
+from jaxgray.diagnosis.own_simulator.tracking import forces_by_number, tracked
 from jaxgray.numerics.outcomes import ComputationError
 
 H, SAMPLES = 0.01, 1500
@@ -104,6 +104,38 @@ def test_a_number_takes_a_force_along_the_motion():
     share = np.sum(forces * wanted, axis=0) / np.sum(wanted**2, axis=0)
     # Friction jumps within a sample, which held forces cannot.
     assert np.allclose(share, 1.0, atol=[0.02, 0.02, 0.02, 0.1]), share
+
+
+@pytest.mark.parametrize("law, size, most", [(pendulum.cubic, 0.3, 8), (pendulum.stop, 0.5, 24)])
+def test_a_force_leads_the_simulator_along_the_record(law, size, most):
+    record, numbers = measured(law, size, seed=3, noise=0.004)
+    u, values = record.u, np.array(list(numbers.values()))
+    simulator = Simulator(pendulum.simulator, tuple(numbers), 1)
+    call = Call(u, 0 * u, values)
+    y = simulator.run(call)
+    plant = linearized(simulator, record, call, y, np.random.default_rng(1))
+    # Dry friction takes what is asked for near reversals, and hides nothing of the rest.
+    assert np.allclose(plant.mass, values[0], rtol=0.02) and np.allclose(plant.input_map, 1.0, atol=0.02)
+    assert plant.varying.v[0] > 0
+    before, after = simulator.count, tracked(simulator, plant, record, call, y)
+    clean = pendulum.run(u[:, 0], pendulum.TRUTH, law, size)
+    noise = np.std(record.y[:, 0] - clean)
+    assert np.std(y[:, 0] - clean) > 10 * noise
+    assert np.std(after[1][:, 0] - clean) < 0.7 * noise and simulator.count - before <= most
+
+
+def test_slopes_of_the_varying_plant_are_those_of_the_simulator():
+    u = pendulum.torque(SAMPLES, np.random.default_rng(9), size=0.5)[:, None]
+    numbers = pendulum.TRUTH | {"friction": 0.0}
+    simulator = Simulator(pendulum.simulator, tuple(numbers), 1)
+    call = Call(u, 0 * u, np.array(list(numbers.values())))
+    y = simulator.run(call)
+    record = jaxgray.Record(u, y, H)
+    plant = linearized(simulator, record, call, y, np.random.default_rng(1))
+    assert plant.varying.v[0] == 0.0
+    w = 1e-4 * np.random.default_rng(2).standard_normal(u.shape)
+    moved = simulator.run(Call(u, w, call.numbers)) - y
+    assert np.std(plant.varying.response(w, y, H) - moved) < 0.03 * np.std(moved)
 
 
 def broken(how):

@@ -4,10 +4,11 @@ import hidden
 import numpy as np
 import pytest
 import scipy.optimize
+import scipy.signal
 from found import check_parameter, generator, model_findings, record_findings
 
 import jaxgray
-from jaxgray.diagnosis.routing import is_static_curve
+from jaxgray.diagnosis.routing import is_static_curve, plays
 from jaxgray.diagnosis.static_gain.regression import Static
 from jaxgray.diagnosis.static_gain.springs import is_spring
 from jaxgray.mechanics.effects import CATALOGUE, by_id
@@ -73,6 +74,27 @@ def test_what_moves_is_no_static_curve():
     # One sample late is memory.
     late = jaxgray.Record(record.u[1:], record.y[:-1], 0.1)
     assert not is_static_curve(late)
+
+
+def test_loops_without_a_time_of_their_own_say_nothing_of_inertia():
+    rng = generator("play")
+    u = load("ramps", 1200, rng)
+    z = plays(u, np.array([25.0]))[:, 0]
+    assert np.all(np.abs(u - z) <= 25.0 + 1e-12) and np.ptp(z) == pytest.approx(np.ptp(u) - 50.0)
+    y = (u + 0.4 * z) / STIFFNESS + NOISE * rng.standard_normal(len(u))
+    assert is_static_curve(jaxgray.Record(u, y, 0.1))
+    # What creeps takes its time.
+    crept = scipy.signal.lfilter([0.05], [1.0, -0.95], u) / STIFFNESS
+    assert not is_static_curve(jaxgray.Record(u, u / STIFFNESS + 0.3 * crept + NOISE * rng.standard_normal(1200), 0.1))
+
+
+@pytest.mark.slow
+def test_play_is_found_in_loops_of_load_and_deflection():
+    rng = generator("play found")
+    u = load("ramps", 1200, rng)
+    y = (u + 0.4 * plays(u, np.array([25.0]))[:, 0]) / STIFFNESS + NOISE * rng.standard_normal(1200)
+    (finding,) = model_findings(jaxgray.diagnose(jaxgray.Record(u, y, 0.1)))
+    assert (finding.effect, finding.location) == ("play_hysteresis", "u1")
 
 
 def test_springs_are_the_forces_of_displacement_alone():

@@ -9,7 +9,7 @@ import pytest
 from made_diagnosis import FRICTION, GAIN, diagnosis, equivalent, experiment, nothing, wrong_numbers
 from rich.console import Console
 
-from jaxgray.diagnosis.findings import Estimate, Finding, ParameterShift
+from jaxgray.diagnosis.findings import Estimate, Finding, Member, ParameterShift
 from jaxgray.diagnosis.model.own_laws import ParameterError
 from jaxgray.diagnosis.words.titles import NAMES, place_of, title_of, value_text
 from jaxgray.mechanics.effects import CATALOGUE, MODEL_ERRORS, RECORD_FINDINGS
@@ -172,6 +172,11 @@ def test_sentences(made, sentence):
 
 def test_sentences_where_something_is_not_known():
     assert "cannot tell them apart." in equivalent(next_experiment=None).sentence
+    load = Member("load_friction", "u1", 0.5, {"mu": Estimate(0.1, 0.01, "")})
+    members = (*FRICTION.members, load)
+    either = equivalent(findings=(dataclasses.replace(FRICTION, status="equivalent", members=members),))
+    assert "Put another payload on: friction of the load changes with it" in either.sentence
+    assert "payload" not in equivalent().sentence
     worse = dataclasses.replace(GAIN, percent=-1.0, ci95=(-3.0, 2.0))
     assert "Adding it does not lower the held-out error (-1 % (-3 to 2))" in diagnosis(gain=worse).sentence
     assert "held-out" not in diagnosis(gain=None).sentence

@@ -44,19 +44,38 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     if forced := from_forces(context, stage, screening):
         ranked = _better_ones(compared(context, stage, ranked + forced))
     if ranked:
-        tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}
-        ids = look_alikes(ranked[0].score.shape.effect, context.catalogue) - {effect for effect, _ in tried}
-        others = untried_look_alikes(ids, screening, closer, tried)
-        late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
-        behind = given_up(state.rejected[before:], ranked)
-        late += force_matched(context, stage, ranked[0], behind, (closer, screening), state.rejected)
+        late, tried, behind = _look_alikes_tried(context, state, ranked, (closer, screening), before)
         if predictable(ranked[0].noise_model):
             elsewhere = at_other_places(ranked[0], screening, closer, tried - behind)
             late += refit_at_other_places(context, stage, ranked[0], elsewhere)
         ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
+    first = ranked[0].name if ranked else None
     ranked = _narrowed(context, stage, simplified(ranked), screening, closer)
+    if ranked and ranked[0].name != first:
+        # What is taken for the simpler law was not asked for yet.
+        late, _, _ = _look_alikes_tried(context, state, ranked, (closer, screening), len(state.rejected))
+        ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
+
+
+def _look_alikes_tried(
+    context: SearchContext,
+    state: SearchState,
+    ranked: list[Attempt],
+    screenings: tuple[Screening, Screening],
+    before: int,
+) -> tuple[list[Attempt], set[tuple[str, str]], set[tuple[str, str]]]:
+    """Refits of what is easily taken for the best law, from where it ended or where they push as it does; what was
+    tried, and what was given up far behind, of the refusals from the one numbered `before` on."""
+    stage, (closer, screening) = state.stage, screenings
+    tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}
+    ids = look_alikes(ranked[0].score.shape.effect, context.catalogue) - {effect for effect, _ in tried}
+    others = untried_look_alikes(ids, screening, closer, tried)
+    late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
+    behind = given_up(state.rejected[before:], ranked)
+    late += force_matched(context, stage, ranked[0], behind, screenings, state.rejected)
+    return late, tried, behind
 
 
 def _narrowed(

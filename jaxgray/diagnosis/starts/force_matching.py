@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from ...mechanics.effects.base import AbstractForceEffect
+from ...mechanics.effects.base import AbstractForceEffect, Term
 from ...mechanics.extended import arm_of
 from ...numerics.side_by_side import side_by_side
 from .. import settings
@@ -35,21 +35,23 @@ def force_matched(
     tables: tuple[Screening, ...],
     rejected: list[Rejected],
 ) -> list[Attempt]:
-    """Force laws at the place of the best one that can imitate it, but ended far behind it: refitted from where it
+    """Force laws along the arm of the best one that can imitate it, but ended far behind it: refitted from where it
     ended, those that come near.
 
     **Arguments:** `context`; `stage`: without the best one; `best`; `tried`: laws and places that ended far behind;
     `tables`: where their shapes are; `rejected`: takes those that are another law where they end.
     """
     term = best.fit.candidate.terms[-1]
-    if not isinstance(term.effect, AbstractForceEffect) or term.effect.places == "input":
+    if not isinstance(term.effect, AbstractForceEffect):
         return []
+    plant = context.simulator.plant(best.fit.candidate)
     scores: dict[tuple[str, str], dict[bytes, Score]] = {}
     for score in (score for table in tables for score in table.scores):
         name = score.shape.effect.id, score.shape.place.name
-        same_kind = isinstance(score.shape.effect, AbstractForceEffect) and score.shape.effect.places != "input"
         nested = term.effect.id in score.shape.effect.contains or score.shape.effect.id in term.effect.contains
-        if name in tried and name[1] == term.place.name and same_kind and not nested:
+        if name not in tried or nested or not isinstance(score.shape.effect, AbstractForceEffect):
+            continue
+        if np.array_equal(arm_of(Term(score.shape.effect, score.shape.place, np.zeros(0)), plant), arm_of(term, plant)):
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
     found = [_imitating(context, best.fit, list(scores[name].values())) for name in sorted(scores)]
     near = sorted((pair for pair in found if pair[0] < settings.MATCHED_FORCE), key=lambda pair: pair[0])[:NEARBY]
@@ -66,7 +68,9 @@ def _imitating(context: SearchContext, fit: Refit, scores: list[Score]) -> tuple
     q, v = context.simulator.motion(fit.candidate, data)
     arm, motion = np.asarray(arm_of(term, plant)), Motion(q, v, q)
     own = Shape(term.effect, term.place, np.array(term.values), (np.array(term.values),), scores[0].shape.scales, 1)
-    made = forces_of([own, *(score.shape for score in scores)], plant, motion, data)[:, : data.samples]
+    # At the coordinate, or at the input that acts there: each sees what is at its own place.
+    made = [forces_of(shapes, plant, motion, data) for shapes in ([own], [score.shape for score in scores])]
+    made = np.concatenate(made)[:, : data.samples]
     plain = np.stack([q @ arm, v @ arm])[:, : data.samples]
     size = np.maximum(np.linalg.norm(plain, axis=1), 1e-300)
     bare = _left(plain / size[:, None], made[0])[0]

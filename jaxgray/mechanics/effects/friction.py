@@ -37,6 +37,7 @@ class CoulombFriction(AbstractForceEffect):
     reference = "Armstrong-Hélouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
     jumps = True
     places = "spring"
+    resembles = "dry friction"
 
     def shapes(self, scales):
         return [np.array([1.0, WIDTH * scales.v])]
@@ -185,6 +186,7 @@ class LoadFriction(AbstractForceEffect):
     reference = "Hamon, Gautier & Garrec, IEEE/RSJ Int. Conf. on Intelligent Robots and Systems (2010) 6187-6193"
     jumps = True
     places = "input"
+    resembles = "dry friction"
     told_apart = "Put another payload on: friction of the load changes with it, Coulomb friction stays."
 
     def shapes(self, scales):
