@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...identification.refinement.conic import pseudo_inverse
+from ...numerics.bounded import bounded
 from ...numerics.outcomes import RESULTS, ComputationError
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit, refit
@@ -121,6 +122,8 @@ def _with_errors(problem: Problem, settled: Settled) -> Refit:
         ours, theirs = (layout.widened(X * kept[:, :, None], k).reshape(-1, layout.size) for X in (J, made))
         own, across = own + ours.T @ ours, across + ours.T @ theirs
     inside = np.ix_(moving, moving)
+    if not bounded(own, across):
+        return fit
     size = np.sqrt(np.diag(own[inside]))
     inverse = np.linalg.pinv(across[inside] / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
     spread = np.diag(inverse @ own[inside] @ inverse.T) / np.maximum(np.diag(pseudo_inverse(own[inside])), 1e-300)
