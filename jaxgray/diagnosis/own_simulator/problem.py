@@ -17,7 +17,7 @@ from ..model.free_run import FreeRun
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers
-from .tracking import as_linear, forces_by_number, through_reversals
+from .tracking import as_linear, forces_by_number, near_until, until
 
 SEEN = 0.1
 """Answer to a number that was given as 0, as it counts for one of size, relative to the motion."""
@@ -115,14 +115,6 @@ class Problem:
             for span, call, y in zip(self.spans, runs.calls, runs.y)
         ]
         return dataclasses.replace(runs, by_number=tuple(forces))
-
-    def bridged(self, runs: Runs) -> Runs:
-        """Runs as if their forces acted through reversals as well: in the linear plant they do."""
-        calls = [
-            dataclasses.replace(call, w=through_reversals(self.plant, span.record, call.w, y))
-            for span, call, y in zip(self.spans, runs.calls, runs.y)
-        ]
-        return dataclasses.replace(runs, calls=tuple(calls))
 
     def with_slopes(self, runs: Runs, wholes: "Linear") -> Runs:
         """Runs with the forces by which the linear plant follows the numbers as the simulator itself does, from those
@@ -254,6 +246,11 @@ class Linear:
     states: tuple[np.ndarray, ...]
     data: tuple[Data, ...]
     by_number: tuple[np.ndarray, ...]
+
+    def near(self, y: tuple[np.ndarray, ...]) -> "Linear":
+        """The same as far as runs are near the records: a linear plant says nothing of what is far from them."""
+        records = tuple(until(record, near_until(record, one)) for record, one in zip(self.records, y))
+        return dataclasses.replace(self, records=records, data=tuple(map(Data.of, records)))
 
     def with_numbers(self, by_number: tuple[np.ndarray, ...]) -> "Linear":
         """The same, where the numbers take other forces."""

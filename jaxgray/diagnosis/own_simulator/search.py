@@ -86,7 +86,7 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     about = problem.with_forces(Runs(*(tuple(x) for x in zip(*followed))))
     problem.idle = problem.idle_by(about.by_number)
     linear = problem.linear_simulator(start, steps_of(problem.linear_model(), first.sampling_time))
-    wholes, begin = problem.linear_data(problem.bridged(about)), None
+    wholes, begin = problem.linear_data(about).near(about.y), None
     progress.unlimited.stage("fitting the simulator's numbers")
     context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
     fitted = _numbers_alone(problem, context, Candidate(start, wholes.states[: len(context.data)]), wholes)
@@ -180,7 +180,9 @@ def _asked_of_forces(problem: Problem, wholes: Linear, catalogue, rng, progress)
         forces = record.u[:, inputs : inputs + dofs] + record.u[:, :inputs] @ problem.plant.input_map.T
         pushed = Record(forces, record.y, record.sampling_time, output_names=record.output_names, hold=record.hold)
         fit += [] if span.fit is None else [pushed[span.fit]]
-        held += [] if span.held is None else [pushed[span.held]]
+        # Nothing is known of what no run was near.
+        seen = span.held is not None and bool(np.any(np.all(np.isfinite(pushed.y[span.held]), axis=1)))
+        held += [pushed[span.held]] if seen else []
 
     @functools.cache
     def search():

@@ -86,11 +86,13 @@ def tracked(
     call: Call,
     y: Float[np.ndarray, "samples dofs"],
 ) -> tuple[Call, np.ndarray]:
-    """The call whose outputs follow the record as far as its noise allows, and those outputs.
+    """The call whose outputs follow the record as far as its noise allows, and those outputs; up to where they leave
+    it, where more runs would be needed.
 
-    **Arguments:** `simulator`; `numbers`, of the same plant; `plant`; `record`; `call` to begin with and its outputs.
+    **Arguments:** `simulator`; `plant`; `record`; `call` to begin with and its outputs `y`.
     """
     call, y = approached(simulator, plant, record, call, y)
+    record = until(record, near_until(record, y, NEAR))
     best, size = (call, y), _size(record, y)
     for _ in range(ROUNDS):
         call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
@@ -118,24 +120,28 @@ def approached(
 
     **Arguments:** as `tracked`.
     """
-    limit, end = NEAR, _near_until(record, y, NEAR)
+    limit, end = NEAR, near_until(record, y, NEAR)
     for _ in range(APPROACHES):
         if end in (0, len(y)) or limit < NEAREST:
             break
-        end = max(min(end, _near_until(record, y, limit)), 2)
-        known = np.where(np.arange(len(y))[:, None] < end, record.y, np.nan)
-        force = following_force(plant, dataclasses.replace(record, y=known), call.w, y)
+        end = max(min(end, near_until(record, y, limit)), 2)
+        force = following_force(plant, until(record, end), call.w, y)
         trial = Call(call.u, force, call.numbers)
         there = simulator.tried(trial)
-        reached = -1 if there is None else _near_until(record, there, limit)
+        reached = -1 if there is None else near_until(record, there, limit)
         if reached > end:
-            call, y, end = trial, there, _near_until(record, there, NEAR)
+            call, y, end = trial, there, near_until(record, there, NEAR)
         else:
             limit /= 2
     return call, y
 
 
-def _near_until(record: Record, y: np.ndarray, limit: float) -> int:
+def until(record: Record, end: int) -> Record:
+    """A record of whose outputs nothing is known from a sample on."""
+    return dataclasses.replace(record, y=np.where(np.arange(record.samples)[:, None] < end, record.y, np.nan))
+
+
+def near_until(record: Record, y: np.ndarray, limit: float = NEAR) -> int:
     """The sample at which a run leaves a record, as many as there are where it does not."""
     far = np.any(np.abs(record.y - y) > limit * _motion(record), axis=1)
     return int(np.argmax(far)) if np.any(far) else len(y)
