@@ -156,7 +156,7 @@ def test_description_and_shapes(effect):
     assert all(len(p.unit) == 3 for p in effect.parameters)
     amplitudes = [k for k, p in enumerate(effect.parameters) if p.amplitude]
     shapes = effect.shapes(SCALES)
-    limit = 24 if effect.id == "unmodelled_mode" else 8 if effect.family == "hysteresis" or effect.repeats else 4
+    limit = 24 if effect.id == "unmodelled_mode" or effect.repeats else 8 if effect.family == "hysteresis" else 4
     assert 1 <= len(shapes) <= limit
     for p in shapes:
         assert p.shape == lower.shape and p.dtype == float and np.all(np.isfinite(p))

@@ -23,6 +23,9 @@ from .settling import Settled, with_numbers
 
 UNSETTLED = "The laws and numbers still moved in the last run of the simulator"
 
+MUCH_FARTHER = 2.0
+"""Error, relative to that of the run that a force leads along the record, which is more than noise."""
+
 SURE = 5.0
 """Standard errors by which a record begins in another state than its run, for sure."""
 
@@ -35,13 +38,14 @@ def diagnosis_of(
     *,
     baseline: Runs,
     fitted: Settled | None,
+    followed: Runs,
     start: np.ndarray,
 ) -> Diagnosis:
     """The diagnosis of a simulator.
 
     **Arguments:** `problem`; `context`, `states`: of the searches in the linear plant, one a law; `every`: laws and
     numbers in the simulator after each; `baseline`: runs with the numbers as they were given, `start` as entries;
-    `fitted`: with numbers alone, None where the simulator does not run with them.
+    `followed`: with the forces that lead along the records; `fitted`: with numbers alone, None where the simulator does not run with them.
     """
     names = problem.record.output_names
     settled, state = every[-1], joined(states)
@@ -70,6 +74,9 @@ def diagnosis_of(
     foreseen = [FreeRun(e, e, d.kept) for e, d in zip(settled.fit.residual, settled.data)]
     lost = overall(rms_of(after[0]), rms_of(foreseen)) >= settings.MIN_EXCESS
     unexplained = state.unexplained or lost or (source != ADOPTED and left >= settings.MIN_EXCESS)
+    # A force makes the simulator follow the record much more closely than laws and numbers do.
+    led = overall(rms_of(after[0]), rms_of(parts_of(problem, followed.y)[0]))
+    unexplained = unexplained or led >= MUCH_FARTHER
     warnings = _warnings(problem, settled, start, elsewhere, unexplained)
     as_given = None if unexplained else with_numbers(problem, settled, start)
     numbers = []

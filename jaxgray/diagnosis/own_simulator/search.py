@@ -129,7 +129,9 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
             detail = "it does not run with the numbers that the record asks for"
             raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
         settled.append(fitted)
-    return diagnosis_of(problem, context, states, settled, baseline=baseline, fitted=fitted, start=start)
+    return diagnosis_of(
+        problem, context, states, settled, baseline=baseline, fitted=fitted, followed=about, start=start
+    )
 
 
 def _numbers_alone(problem: Problem, context: SearchContext, begin: Candidate, wholes: Linear) -> Settled | None:

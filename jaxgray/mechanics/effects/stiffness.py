@@ -148,8 +148,9 @@ class SineStiffness(AbstractForceEffect):
     resembles = "hardening"
 
     def shapes(self, scales):
-        # Up to what a magnet does once, and many poles over the way.
-        return [np.array([1.0, scales.q_peak / angle]) for angle in (0.5, 1.0, 2.0, 4.0, 10.0, 25.0)]
+        # From a magnet that is passed once to many poles over the way, of which the record tells those apart that
+        # differ by half a turn over the largest displacement.
+        return [np.array([1.0, scales.q_peak / angle]) for angle in (0.5, 1.0, 2.0, *np.arange(4.0, 28.0, 2.5))]
 
     def unresolved(self, p, scales):
         angle = scales.q_peak / max(p[1], SHORTEST)
