@@ -45,7 +45,8 @@ def diagnosis_of(
 
     **Arguments:** `problem`; `context`, `states`: of the searches in the linear plant, one a law; `every`: laws and
     numbers in the simulator after each; `baseline`: runs with the numbers as they were given, `start` as entries;
-    `followed`: with the forces that lead along the records; `fitted`: with numbers alone, None where the simulator does not run with them.
+    `followed`: with the forces that lead along the records; `fitted`: with numbers alone, None where the simulator does
+    not run with them.
     """
     names = problem.record.output_names
     settled, state = every[-1], joined(states)
