@@ -88,7 +88,8 @@ def judged(seed, effect):
     except jaxgray.ComputationError as error:
         return row | {"failed": str(error)}
     laws = [f for f in found.findings if f.stage == "model" and f.effect not in ("parameter_error", "unexplained")]
-    off = [abs(s.after - pendulum.TRUTH[s.name]) / s.standard_error for s in found.shifts if s.name != "friction"]
+    known = [s for s in found.shifts if s.standard_error and s.name != "friction"]
+    off = [abs(s.after - pendulum.TRUTH[s.name]) / s.standard_error for s in known]
     row |= {"verdict": found.verdict, "found": [(f.effect, f.location, f.status) for f in laws]}
     row |= {
         "calls": calls[0],

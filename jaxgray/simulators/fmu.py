@@ -20,6 +20,9 @@ from ..records import Record
 FLOATS = ("Real", "Float64", "Float32")
 """Types of variables that are numbers with a fraction."""
 
+TOLERANCE = 1e-10
+"""Of the solver of a unit for model exchange: small changes of its forces must show."""
+
 PARTS = 10
 """Steps a sample under a linear hold, over each of which an input stays at its mean."""
 
@@ -54,14 +57,17 @@ class FmuSimulator:
                 f"forces={self.forces} for the outputs {self.outputs}: give the input that is the force at each of "
                 "them."
             )
+        if len({*self.inputs, *self.forces}) < len(self.inputs) + len(self.forces):
+            raise ValueError(
+                f"forces={self.forces} beside the inputs {self.inputs}: give an input of its own for each."
+            )
         for name in (*self.inputs, *self.forces):
             if self._variable(name, "inputs and forces").causality != "input":
                 raise ValueError(f"{self.path}: {name!r} is no input of it; inputs and forces of a record must be.")
         for name in self.outputs:
             self._variable(name, "outputs")
         if numbers is None:
-            known = (v for v in self._description.modelVariables if v.causality == "parameter" and v.type in FLOATS)
-            numbers = [v.name for v in known if v.start is not None and float(v.start) != 0.0]
+            numbers = [v.name for v in self._description.modelVariables if _is_number(v) and float(v.start) != 0.0]
         given = {name: self._start(name) for name in numbers}
         if isinstance(numbers, Mapping):
             given |= {name: float(value) for name, value in numbers.items()}
@@ -95,9 +101,11 @@ class FmuSimulator:
         found = fmpy.simulate_fmu(
             self._folder,
             validate=False,
+            start_time=0.0,
             stop_time=float((len(held) - 1) * self.sampling_time),
             output_interval=h,
             fmi_type="CoSimulation" if together else "ModelExchange",
+            relative_tolerance=None if together else TOLERANCE,
             start_values={name: float(value) for name, value in numbers.items()},
             input=signals,
             output=list(self.outputs),
@@ -138,7 +146,7 @@ class FmuSimulator:
 
     def _start(self, name: str) -> float:
         variable = self._variable(name, "numbers")
-        if variable.causality != "parameter" or variable.type not in FLOATS or variable.start is None:
+        if not _is_number(variable):
             raise ValueError(f"numbers: {name!r} of {self.path} is no parameter with a fraction and a start value.")
         return float(variable.start)
 
@@ -148,6 +156,12 @@ def _fmpy():
         return importlib.import_module("fmpy")
     except ImportError:
         raise ImportError("functional mock-up units need FMPy: pip install 'jaxgray[fmu]'") from None
+
+
+def _is_number(variable) -> bool:
+    """Whether a variable is a parameter that is one number with a fraction."""
+    alone = not getattr(variable, "dimensions", None)
+    return variable.causality == "parameter" and variable.type in FLOATS and variable.start is not None and alone
 
 
 def _means(held: np.ndarray, parts: int) -> np.ndarray:

@@ -135,7 +135,7 @@ def test_slopes_of_the_varying_plant_are_those_of_the_simulator():
     assert plant.varying.v[0] == 0.0
     w = 1e-4 * np.random.default_rng(2).standard_normal(u.shape)
     moved = simulator.run(Call(u, w, call.numbers)) - y
-    assert np.std(plant.varying.response(w, y, H) - moved) < 0.03 * np.std(moved)
+    assert np.std(plant.varying.response(w, y, record) - moved) < 0.03 * np.std(moved)
 
 
 def broken(how):

@@ -173,9 +173,13 @@ class Varying:
         made = scipy.linalg.expm(h * system)
         return made[:, : 2 * dofs, : 2 * dofs], made[:, : 2 * dofs, 2 * dofs :]
 
-    def response(self, forces: Float[np.ndarray, "samples dofs *many"], large: np.ndarray, h: float) -> np.ndarray:
-        """The small motion that held forces make from rest, beside a large one; or many, side by side."""
-        A, B = self.sampled(large, h)
+    def response(self, forces: Float[np.ndarray, "samples dofs *many"], large: np.ndarray, like: Record) -> np.ndarray:
+        """The small motion that forces, held as the inputs of a record are, make from rest beside a large one; or many,
+        side by side."""
+        A, B = self.sampled(large, like.sampling_time)
+        if like.hold == "linear":
+            # Over each sample their mean.
+            forces = np.concatenate([(forces[:-1] + forces[1:]) / 2, forces[-1:]])
         x, made = np.zeros((2 * large.shape[1], *forces.shape[2:])), np.empty(forces.shape)
         for k, w in enumerate(forces):
             made[k] = x[: large.shape[1]]
@@ -233,7 +237,7 @@ def linearized(
     **Raises:** `ComputationError` where the outputs do not answer to forces as a mechanical system does.
     """
     dofs, h = record.outputs, record.sampling_time
-    size = np.maximum(np.std(y, axis=0), 1e-12 * max(float(np.std(y)), 1e-300))
+    size = np.maximum(np.std(y, axis=0), 1e-3 * max(float(np.max(np.std(y, axis=0))), 1e-300))
     # Where nothing acts, any force: its size is found by what answers.
     force = float(np.sqrt(np.mean(call.u**2))) or 1.0
 

@@ -42,7 +42,8 @@ class Span:
 
     def far(self, y: Float[np.ndarray, "samples outputs"]) -> bool:
         """Whether a run goes far beyond the motion of the record."""
-        return not np.all(np.max(np.abs(y), axis=0) <= RUN_AWAY * np.nanmax(np.abs(self.record.y), axis=0))
+        most = np.nanmax(np.abs(self.record.y), axis=0)
+        return not np.all(np.max(np.abs(y), axis=0) <= RUN_AWAY * np.maximum(most, 1e-3 * np.max(most)))
 
     def run(self, y: Float[np.ndarray, "samples outputs"], part: slice) -> FreeRun:
         """A run of the whole record as one of a part of it."""
@@ -121,7 +122,7 @@ class Problem:
         that they take along the motion."""
         forces = []
         for span, y, taken in zip(self.spans, runs.y, wholes.by_number):
-            S = self.plant.varying.response(-taken, y, span.record.sampling_time)
+            S = self.plant.varying.response(-taken, y, span.record)
             columns = [-self.plant.forces_of(S[:, :, k], span.record)[0] for k in range(S.shape[2])]
             forces.append(np.stack(columns, axis=2) if columns else S)
         return dataclasses.replace(runs, by_number=tuple(forces))

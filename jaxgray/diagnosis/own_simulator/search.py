@@ -181,16 +181,18 @@ def _asked_of_forces(problem: Problem, wholes: Linear, catalogue, rng, progress)
         inputs = span.record.inputs
         forces = record.u[:, inputs : inputs + dofs] + record.u[:, :inputs] @ problem.plant.input_map.T
         pushed = Record(forces, record.y, record.sampling_time, output_names=record.output_names, hold=record.hold)
-        fit += [] if span.fit is None else [pushed[span.fit]]
-        # Nothing is known of what no run was near.
-        seen = span.held is not None and bool(np.any(np.all(np.isfinite(pushed.y[span.held]), axis=1)))
-        held += [pushed[span.held]] if seen else []
+        for part, group in ((span.fit, fit), (span.held, held)):
+            # Nothing is known of what no run was near.
+            if part is not None and np.any(np.all(np.isfinite(pushed.y[part]), axis=1)):
+                group.append(pushed[part])
 
     @functools.cache
     def search():
         progress.unlimited.stage("looking in the force equation")
         try:
-            return search_forces(fit, held, Force(np.eye(dofs)), laws, 1, rng=rng, progress=progress)
+            return (
+                None if not fit else search_forces(fit, held, Force(np.eye(dofs)), laws, 1, rng=rng, progress=progress)
+            )
         except ComputationError:
             return None
 

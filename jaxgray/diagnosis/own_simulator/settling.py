@@ -116,7 +116,7 @@ def _with_errors(problem: Problem, settled: Settled) -> Refit:
         states = slice(layout.entries, layout.entries + layout.states)
         for j in np.setdiff1d(np.arange(J.shape[2]), np.arange(states.start, states.stop)):
             made[:, :, j] = problem.plant.forces_of(J[:, :, j], span.record[span.fit])[0]
-        made = problem.plant.varying.response(made, motion, span.record.sampling_time)
+        made = problem.plant.varying.response(made, motion, span.record)
         made[:, :, states] = J[:, :, states]
         kept = np.isfinite(span.record.y[span.fit]) / np.sqrt(np.maximum(np.mean(e[:n] ** 2, axis=0), 1e-300))
         ours, theirs = (layout.widened(X * kept[:, :, None], k).reshape(-1, layout.size) for X in (J, made))

@@ -34,8 +34,17 @@ FORCES = np.array([1.0, 0.3, 0.1, 0.03, 0.01])
 ROUNDING = 1e-6
 """Least noise, relative to the motion."""
 
+SMALL = 0.1
+"""Largest difference of a run with a little more of a number, relative to the motion, for a force to first order."""
+
 BESIDE = 2
 """Samples beside a reversal at which derivatives still see it."""
+
+BEYOND = 5.0
+"""Standard deviations of the noise, beside its share of the motion, within which a run is near a record."""
+
+IN_A_ROW, FEWEST = 5, 50
+"""Samples that a run is far from a record to have left it; and fewest of a record that say anything by themselves."""
 
 ENOUGH = 0.95
 """Share of the error that a round must leave at most, for another one."""
@@ -91,13 +100,22 @@ def tracked(
 
     **Arguments:** `simulator`; `plant`; `record`; `call` to begin with and its outputs `y`.
     """
-    call, y = approached(simulator, plant, record, call, y)
-    record = until(record, near_until(record, y, NEAR))
+    call, y = _led(simulator, plant, record, call, y)
+    if near_until(record, y) < len(y):
+        call, y = _led(simulator, plant, record, *approached(simulator, plant, record, call, y))
+    end = near_until(record, y)
+    return (call, y) if end == len(y) else _led(simulator, plant, until(record, end), call, y)
+
+
+def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y: np.ndarray):
+    """The call that brings the outputs nearest to all of a record, from one on; and those outputs."""
     best, size = (call, y), _size(record, y)
     for _ in range(ROUNDS):
         call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
         y = simulator.tried(call)
-        now = np.inf if y is None else _size(record, y)
+        if y is None:
+            break
+        now = _size(record, y)
         before, size = size, min(now, size)
         if now < before:
             best = call, y
@@ -120,12 +138,12 @@ def approached(
 
     **Arguments:** as `tracked`.
     """
-    limit, end = NEAR, near_until(record, y, NEAR)
+    limit, end = NEAR, near_until(record, y)
     for _ in range(APPROACHES):
-        if end in (0, len(y)) or limit < NEAREST:
+        if end == len(y) or limit < NEAREST:
             break
-        end = max(min(end, near_until(record, y, limit)), 2)
-        force = following_force(plant, until(record, end), call.w, y)
+        end = min(end, near_until(record, y, limit))
+        force = following_force(plant, until(record, max(end, FEWEST)), call.w, y)
         trial = Call(call.u, force, call.numbers)
         there = simulator.tried(trial)
         reached = -1 if there is None else near_until(record, there, limit)
@@ -137,14 +155,22 @@ def approached(
 
 
 def until(record: Record, end: int) -> Record:
-    """A record of whose outputs nothing is known from a sample on."""
+    """A record of whose outputs nothing is known from a sample on; whole where too few would be left."""
+    if end < min(FEWEST, record.samples):
+        return record
     return dataclasses.replace(record, y=np.where(np.arange(record.samples)[:, None] < end, record.y, np.nan))
 
 
 def near_until(record: Record, y: np.ndarray, limit: float = NEAR) -> int:
-    """The sample at which a run leaves a record, as many as there are where it does not."""
-    far = np.any(np.abs(record.y - y) > limit * _motion(record), axis=1)
-    return int(np.argmax(far)) if np.any(far) else len(y)
+    """The sample at which a run leaves a record for some samples, more than its noise does; as many as there are where
+    it does not, or is far from it at once, which is another first state."""
+    e, kept = record.y - y, np.isfinite(record.y)
+    # Of the record alone: what a run leaves may be no noise.
+    noise = np.sqrt(np.maximum(white_part(np.nan_to_num(record.y), kept), 0.0))
+    far = np.any(np.abs(np.where(kept, e, 0.0)) > limit * _motion(record) + BEYOND * noise, axis=1)
+    left = np.convolve(far, np.ones(IN_A_ROW), mode="valid") == IN_A_ROW
+    end = int(np.argmax(left)) if np.any(left) else len(y)
+    return end if end >= IN_A_ROW else len(y)
 
 
 def following_force(
@@ -157,13 +183,17 @@ def following_force(
 
     **Reference:** Rauch, Tung & Striebel, AIAA J. 3 (1965) 1445-1450.
     """
-    dofs, e, kept = y.shape[1], record.y - y, np.isfinite(record.y)
+    dofs, motion, whole = y.shape[1], _motion(record), w.copy()
+    last = int(np.max(np.flatnonzero(np.isfinite(record.y).any(axis=1)), initial=1)) + 1
+    w, y, known = w[:last], y[:last], record.y[:last]
+    e, kept = known - y, np.isfinite(known)
     A, B = plant.varying.sampled(y, record.sampling_time)
-    motion = _motion(record)
     noise = np.maximum(white_part(np.where(kept, e, 0.0), kept), (ROUNDING * motion) ** 2)
-    force = np.maximum(np.mean((record.u @ plant.input_map.T) ** 2, axis=0), 1e-300)
+    # Of the inputs, and of what the motion takes where none acts.
+    force = np.mean((record.u[:last] @ plant.input_map.T) ** 2, axis=0)
+    force = np.maximum(force, np.mean(plant.varying(y, y, record.sampling_time) ** 2, axis=0)) + 1e-300
     stays = np.exp(-1.0 / CORRELATED)
-    F = np.concatenate([np.concatenate([A, B], axis=2), np.zeros((len(y), dofs, 3 * dofs))], axis=1)
+    F = np.concatenate([np.concatenate([A, B], axis=2), np.zeros((last, dofs, 3 * dofs))], axis=1)
     F[:, 2 * dofs :, 2 * dofs :] = stays * np.eye(dofs)
     # The run has its own forces already.
     less = np.concatenate([np.einsum("kij,kj->ki", -B, w), np.zeros_like(w)], axis=1)
@@ -173,11 +203,16 @@ def following_force(
         Q = np.diag(np.concatenate([0.0 * states, (1 - stays**2) * size**2 * force]))
         return _filtered(F, less, Q, np.diag(np.concatenate([begins * states, size**2 * force])), C, noise, e)
 
-    best = max(FORCES, key=lambda size: filtered(size, 0.0).likelihood)
-    same, other = filtered(best, 0.0), filtered(best, 1.0)
+    tried = {size: filtered(size, 0.0) for size in FORCES}
+    best = max(tried, key=lambda size: tried[size].likelihood)
+    other = filtered(best, 1.0)
     # A record that begins in another state than the run does: no force mends that.
-    elsewhere = other.likelihood - same.likelihood > dofs * np.log(len(y))
-    return (other if elsewhere else same).smoothed(F)[:, 2 * dofs :]
+    elsewhere = other.likelihood - tried[best].likelihood > dofs * np.log(len(y))
+    found = (other if elsewhere else tried[best]).smoothed(F)[:, 2 * dofs :]
+    whole[:last] = found
+    # What is not known stays as it was for a while, and is no more.
+    whole[last:] = found[-1] * stays ** np.arange(1, len(whole) - last + 1)[:, None]
+    return whole
 
 
 @dataclass(frozen=True)
@@ -241,17 +276,19 @@ def forces_by_number(
 
     **Raises:** `ComputationError` where the simulator runs neither with more nor with less of a number.
     """
-    steps = NUMBER * np.diag(units)
-    calls = [Call(call.u, call.w, call.numbers + step) for step in steps]
     found = []
-    for one, there, step in zip(calls, simulator.runs(calls), steps):
-        sign = 1.0
-        if isinstance(there, Failure):
-            # What more of a number is too much for, as of an efficiency of one, less may not be.
-            sign, less = -1.0, Call(call.u, call.w, call.numbers - step)
-            again = simulator.runs([less])[0]
-            there = simulator.finished(*((one, there) if isinstance(again, Failure) else (less, again)))
-        taken = sign * plant.forces_beside(y - there, y, record) / NUMBER
+    for unit in np.diag(units):
+        for step in (NUMBER, NUMBER / 10, NUMBER / 100):
+            calls = [Call(call.u, call.w, call.numbers + sign * step * unit) for sign in (1.0, -1.0)]
+            sign, there = 1.0, simulator.runs(calls[:1])[0]
+            if isinstance(there, Failure):
+                # What more of a number is too much for, as of an efficiency of one, less may not be.
+                sign, again = -1.0, simulator.runs(calls[1:])[0]
+                failed = isinstance(again, Failure)
+                there = simulator.finished(*((calls[0], there) if failed else (calls[1], again)))
+            if np.all(np.max(np.abs(there - y), axis=0) <= SMALL * _motion(record)):
+                break
+        taken = sign * plant.forces_beside(y - there, y, record) / step
         found.append(through_reversals(plant, record, taken, y))
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
 
@@ -283,5 +320,6 @@ def _size(record: Record, y: np.ndarray) -> float:
 
 
 def _motion(record: Record) -> Float[np.ndarray, " dofs"]:
-    """Size of the motion of every output."""
-    return np.maximum(np.nanstd(record.y, axis=0), 1e-300)
+    """Size of the motion of every output, of one that hardly moves a share of the largest."""
+    size = np.nanstd(record.y, axis=0)
+    return np.maximum(size, 1e-3 * np.max(size)) + 1e-300

@@ -54,7 +54,7 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     if ranked and ranked[0].name != first:
         # What is taken for the simpler law was not asked for yet.
         late, _, _ = _look_alikes_tried(context, state, ranked, (closer, screening), len(state.rejected))
-        ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
+        ranked = simplified(_better_ones(compared(context, stage, ranked + late))) if late else ranked
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
 

@@ -23,6 +23,9 @@ from ..screening.features import Motion, Shape, forces_of
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
 
+SAME_ARM = 0.02
+"""Difference of two arms, one of which may have been estimated, that is none."""
+
 NEARBY = 3
 """Laws that are begun again at most."""
 
@@ -51,7 +54,8 @@ def force_matched(
         nested = term.effect.id in score.shape.effect.contains or score.shape.effect.id in term.effect.contains
         if name not in tried or nested or not isinstance(score.shape.effect, AbstractForceEffect):
             continue
-        if np.array_equal(arm_of(Term(score.shape.effect, score.shape.place, np.zeros(0)), plant), arm_of(term, plant)):
+        arms = (arm_of(one, plant) for one in (term, Term(score.shape.effect, score.shape.place, np.zeros(0))))
+        if np.allclose(*arms, atol=SAME_ARM):
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
     found = [_imitating(context, best.fit, list(scores[name].values())) for name in sorted(scores)]
     near = sorted((pair for pair in found if pair[0] < settings.MATCHED_FORCE), key=lambda pair: pair[0])[:NEARBY]

@@ -346,7 +346,6 @@ class SpeedForceLimit(AbstractForceEffect):
         return self.bounded([simple.get("limit", p[0]), *p[1:]])
 
     def force(self, p, here, z):
-        # Of the speed against the command nothing is taken away, but what is given back.
-        driving = jnp.where(p[2] < 0.5, jnp.abs(here.v), here.v * jnp.sign(here.u))
-        limit = jnp.maximum(p[0] - p[1] * driving, 0.0)
-        return here.u - jnp.clip(here.u, -limit, limit)
+        most = jnp.maximum(p[0] - p[1] * jnp.abs(here.v), 0.0)
+        low = jnp.where(p[2] < 0.5, -most, -p[0] - p[1] * here.v)
+        return here.u - jnp.clip(here.u, low, jnp.where(p[2] < 0.5, most, low + 2 * p[0]))
