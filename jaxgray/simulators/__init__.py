@@ -2,6 +2,7 @@
 
 mujoco   models of MuJoCo: joints as coordinates, actuators as inputs
 fmu      functional mock-up units: variables as inputs, outputs, forces and numbers
+inputs   what both share
 """
 
 from .fmu import FmuSimulator

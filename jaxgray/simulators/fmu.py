@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..records import Record
+from .inputs import held, named
 
 FLOATS = ("Real", "Float64", "Float32")
 """Types of variables that are numbers with a fraction."""
@@ -25,9 +26,6 @@ TOLERANCE = 1e-10
 
 PARTS = 10
 """Steps a sample under a linear hold, over each of which an input stays at its mean."""
-
-FEW_NAMES = 12
-"""Names that a message lists."""
 
 
 class FmuSimulator:
@@ -89,10 +87,10 @@ class FmuSimulator:
         `numbers` by name.
         """
         fmpy = _fmpy()
-        held = np.concatenate([u, w], axis=1)
+        given = np.concatenate([u, w], axis=1)
         parts = PARTS if self.hold == "linear" else 1
         h, together = self.sampling_time / parts, self._description.coSimulation is not None
-        values = _means(held, parts)
+        values = held(given, parts, self.hold)
         time = np.arange(len(values)) * h
         if not together:
             # Held to the next sample: an event there.
@@ -102,7 +100,7 @@ class FmuSimulator:
             self._folder,
             validate=False,
             start_time=0.0,
-            stop_time=float((len(held) - 1) * self.sampling_time),
+            stop_time=float((len(given) - 1) * self.sampling_time),
             output_interval=h,
             fmi_type="CoSimulation" if together else "ModelExchange",
             relative_tolerance=None if together else TOLERANCE,
@@ -140,7 +138,7 @@ class FmuSimulator:
         known = {variable.name: variable for variable in self._description.modelVariables}
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"it has {_named(known)}."
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {named(known)}."
             raise ValueError(f"{self.path} has no variable {name!r}, as {what} of it must be by name; {hint}")
         return known[name]
 
@@ -162,17 +160,3 @@ def _is_number(variable) -> bool:
     """Whether a variable is a parameter that is one number with a fraction."""
     alone = not getattr(variable, "dimensions", None)
     return variable.causality == "parameter" and variable.type in FLOATS and variable.start is not None and alone
-
-
-def _means(held: np.ndarray, parts: int) -> np.ndarray:
-    """Inputs over parts of every sample: as they are held, or the means of straight lines to the next."""
-    if parts == 1:
-        return held
-    after = np.concatenate([held[1:], held[-1:]])
-    share = ((np.arange(parts) + 0.5) / parts)[None, :, None]
-    return (held[:, None] * (1 - share) + after[:, None] * share).reshape(-1, held.shape[1])
-
-
-def _named(names) -> str:
-    names = list(names)
-    return ", ".join(names[:FEW_NAMES]) + (", …" if len(names) > FEW_NAMES else "")

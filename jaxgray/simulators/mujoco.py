@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from ..diagnosis.result import Diagnosis
 from ..records import Record
+from .inputs import held, named
 
 JOINT = {
     "damping": "dof_damping",
@@ -22,9 +23,6 @@ JOINT = {
     "stiffness": "jnt_stiffness",
 }
 """Attributes of a joint that are numbers, and the arrays of a compiled model that hold them."""
-
-FEW_NAMES = 12
-"""Names that a message lists."""
 
 TIME = 1e-6
 """Part of a step by which a sampling time may miss a whole number of them."""
@@ -100,7 +98,7 @@ class MujocoSimulator:
         forces = np.zeros((len(u), model.nu + model.nv))
         forces[:, self._actuators(model)], forces[:, model.nu + dofs] = u, w
         spec = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
-        control = _held(forces, steps, self.hold)
+        control = held(forces, steps, self.hold)
         with _quiet(mujoco):
             states, _ = rollout.rollout(model, data, state, control[:-steps], control_spec=spec)
         # Time comes first in a state, then the positions.
@@ -146,7 +144,7 @@ class MujocoSimulator:
         if model.nv != len(self.outputs) or model.nq != model.nv:
             raise ValueError(
                 f"{self.path} has {model.nv} degrees of freedom, the record {len(self.outputs)} outputs "
-                f"({_named(self.outputs)}): a hinge or slide for every output, and no other joint."
+                f"({named(self.outputs)}): a hinge or slide for every output, and no other joint."
             )
         self._joints(model), self._actuators(model), self._steps(model)
 
@@ -221,22 +219,8 @@ def _id(model, kind: str, name: str, where: str) -> int:
     if at < 0:
         count = {mujoco.mjtObj.mjOBJ_JOINT: model.njnt, mujoco.mjtObj.mjOBJ_BODY: model.nbody}.get(kind, model.nu)
         names = [mujoco.mj_id2name(model, kind, k) for k in range(count)]
-        raise ValueError(f"{where}: there is no {name!r}, but {_named([one for one in names if one])}.")
+        raise ValueError(f"{where}: there is no {name!r}, but {named([one for one in names if one])}.")
     return at
-
-
-def _named(names) -> str:
-    names = list(names)
-    return ", ".join(names[:FEW_NAMES]) + (", …" if len(names) > FEW_NAMES else "")
-
-
-def _held(forces: np.ndarray, steps: int, hold: str) -> np.ndarray:
-    """Inputs at every step: held over a sample, or on a straight line to the next."""
-    if hold != "linear":
-        return np.repeat(forces, steps, axis=0)
-    after = np.concatenate([forces[1:], forces[-1:]])
-    share = ((np.arange(steps) + 0.5) / steps)[None, :, None]
-    return (forces[:, None] * (1 - share) + after[:, None] * share).reshape(-1, forces.shape[1])
 
 
 def _write(spec, name: str, value: float) -> None:

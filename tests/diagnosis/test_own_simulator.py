@@ -9,6 +9,7 @@ import pytest
 import scipy.signal
 
 import jaxgray
+from jaxgray.diagnosis.own_simulator import tracking
 from jaxgray.diagnosis.own_simulator.calls import Call, Simulator, checked_numbers
 from jaxgray.diagnosis.own_simulator.linearized import linearized
 from jaxgray.diagnosis.own_simulator.tracking import forces_by_number, tracked
@@ -122,6 +123,17 @@ def test_a_force_leads_the_simulator_along_the_record(law, size, most):
     noise = np.std(record.y[:, 0] - clean)
     assert np.std(y[:, 0] - clean) > 10 * noise
     assert np.std(after[1][:, 0] - clean) < 0.7 * noise and simulator.count - before <= most
+
+
+def test_a_force_that_is_no_number_is_never_tried(monkeypatch):
+    record, numbers = measured(pendulum.cubic, 0.3, seed=3)
+    u = record.u
+    simulator = Simulator(pendulum.simulator, tuple(numbers), 1)
+    call = Call(u, 0 * u, np.array(list(numbers.values())))
+    y = simulator.run(call)
+    monkeypatch.setattr(tracking, "following_force", lambda plant, record, w, y: np.full_like(w, np.nan))
+    before, found = simulator.count, tracked(simulator, None, record, call, y)
+    assert simulator.count == before and found[0] is call and found[1] is y
 
 
 def test_slopes_of_the_varying_plant_are_those_of_the_simulator():

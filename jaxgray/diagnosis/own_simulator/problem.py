@@ -96,10 +96,8 @@ class Problem:
         far = any(span.far(y) for span, y in zip(self.spans, made))
         return None if far else Runs(tuple(calls), tuple(made))
 
-    def called(self, entries: Float[np.ndarray, " numbers"], like: Runs | None = None) -> list[Call]:
-        """Calls with these numbers, with the inputs and forces of other runs, by default the records' and none."""
-        if like is not None:
-            return [dataclasses.replace(call, numbers=entries * self.units) for call in like.calls]
+    def called(self, entries: Float[np.ndarray, " numbers"]) -> list[Call]:
+        """Calls with these numbers, the records' inputs and no forces."""
         none = [np.zeros((span.record.samples, span.record.outputs)) for span in self.spans]
         return [Call(span.record.u, w, entries * self.units) for span, w in zip(self.spans, none)]
 

@@ -121,9 +121,10 @@ def _with_errors(problem: Problem, settled: Settled) -> Refit:
         kept = np.isfinite(span.record.y[span.fit]) / np.sqrt(np.maximum(np.mean(e[:n] ** 2, axis=0), 1e-300))
         ours, theirs = (layout.widened(X * kept[:, :, None], k).reshape(-1, layout.size) for X in (J, made))
         own, across = own + ours.T @ ours, across + ours.T @ theirs
-    inside = np.ix_(moving, moving)
     if not bounded(own, across):
         return fit
+    moving = moving[np.diag(own)[moving] > 0]
+    inside = np.ix_(moving, moving)
     size = np.sqrt(np.diag(own[inside]))
     inverse = np.linalg.pinv(across[inside] / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
     spread = np.diag(inverse @ own[inside] @ inverse.T) / np.maximum(np.diag(pseudo_inverse(own[inside])), 1e-300)

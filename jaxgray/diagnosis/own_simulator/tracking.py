@@ -11,6 +11,7 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Float
 
+from ...numerics.bounded import bounded
 from ...records import Record
 from ..noise.whitening import white_part
 from .calls import Call, Failure, Simulator
@@ -112,7 +113,7 @@ def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y:
     best, size = (call, y), _size(record, y)
     for _ in range(ROUNDS):
         call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
-        y = simulator.tried(call)
+        y = simulator.tried(call) if bounded(call.w) else None
         if y is None:
             break
         now = _size(record, y)
@@ -145,7 +146,7 @@ def approached(
         end = min(end, near_until(record, y, limit))
         force = following_force(plant, until(record, max(end, FEWEST)), call.w, y)
         trial = Call(call.u, force, call.numbers)
-        there = simulator.tried(trial)
+        there = simulator.tried(trial) if bounded(force) else None
         reached = -1 if there is None else near_until(record, there, limit)
         if reached > end:
             call, y, end = trial, there, near_until(record, there, NEAR)
@@ -207,7 +208,7 @@ def following_force(
     best = max(tried, key=lambda size: tried[size].likelihood)
     other = filtered(best, 1.0)
     # A record that begins in another state than the run does: no force mends that.
-    elsewhere = other.likelihood - tried[best].likelihood > dofs * np.log(len(y))
+    elsewhere = other.likelihood > tried[best].likelihood + dofs * np.log(len(y))
     found = (other if elsewhere else tried[best]).smoothed(F)[:, 2 * dofs :]
     whole[:last] = found
     # What is not known stays as it was for a while, and is no more.
@@ -258,7 +259,9 @@ def _filtered(F, known, Q, P, C, noise, e) -> _Filtered:
             P = (P + P.T) / 2
         after[k], spread_after[k] = x, P
         x, P = F[k] @ x + known[k], F[k] @ P @ F[k].T + Q
-    return _Filtered(ahead, after, spread_ahead, spread_after, float(likelihood))
+    # A plant that runs away where nothing is seen ends beyond numbers, and is not likely.
+    likelihood = float(likelihood) if bounded(likelihood, after, spread_after) else -np.inf
+    return _Filtered(ahead, after, spread_ahead, spread_after, likelihood)
 
 
 def forces_by_number(
@@ -276,19 +279,23 @@ def forces_by_number(
 
     **Raises:** `ComputationError` where the simulator runs neither with more nor with less of a number.
     """
-    found = []
-    for unit in np.diag(units):
-        for step in (NUMBER, NUMBER / 10, NUMBER / 100):
-            calls = [Call(call.u, call.w, call.numbers + sign * step * unit) for sign in (1.0, -1.0)]
-            sign, there = 1.0, simulator.runs(calls[:1])[0]
+
+    def stepped(unit: np.ndarray, step: float) -> Call:
+        return Call(call.u, call.w, call.numbers + step * unit)
+
+    found, steps = [], np.diag(units)
+    for unit, there in zip(steps, simulator.runs([stepped(unit, NUMBER) for unit in steps])):
+        step = NUMBER
+        if isinstance(there, Failure):
+            # What more of a number is too much for, as of an efficiency of one, less may not be.
+            more, step = there, -NUMBER
+            there = simulator.runs([stepped(unit, step)])[0]
             if isinstance(there, Failure):
-                # What more of a number is too much for, as of an efficiency of one, less may not be.
-                sign, again = -1.0, simulator.runs(calls[1:])[0]
-                failed = isinstance(again, Failure)
-                there = simulator.finished(*((calls[0], there) if failed else (calls[1], again)))
-            if np.all(np.max(np.abs(there - y), axis=0) <= SMALL * _motion(record)):
-                break
-        taken = sign * plant.forces_beside(y - there, y, record) / step
+                simulator.finished(stepped(unit, NUMBER), more)
+        while np.any(np.max(np.abs(there - y), axis=0) > SMALL * _motion(record)) and abs(step) > NUMBER / 50:
+            step /= 10
+            there = simulator.run(stepped(unit, step))
+        taken = plant.forces_beside(y - there, y, record) / step
         found.append(through_reversals(plant, record, taken, y))
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
 
