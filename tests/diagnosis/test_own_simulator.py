@@ -1,6 +1,7 @@
 """A user's own simulator on trial: wrong numbers and a law that it lacks, from data of its own equations with the truth
 in them; and every way in which it can fail."""
 
+import dataclasses
 import os
 
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 import scipy.signal
 
 import jaxgray
+from jaxgray.diagnosis.estimation.measured_motion import FORCES
+from jaxgray.diagnosis.model.candidate import Candidate
 from jaxgray.diagnosis.own_simulator import tracking
 from jaxgray.diagnosis.own_simulator.calls import Call, Simulator, checked_numbers
 from jaxgray.diagnosis.own_simulator.linearized import linearized
+from jaxgray.diagnosis.own_simulator.problem import Problem, Span
 from jaxgray.diagnosis.own_simulator.tracking import forces_by_number, tracked
 from jaxgray.numerics.outcomes import ComputationError
 
@@ -102,9 +106,39 @@ def test_a_number_takes_a_force_along_the_motion():
     forces = forces_by_number(simulator, plant, record, call, y, call.numbers)[:, 0]
     v = np.gradient(y[:, 0], H)
     wanted = np.stack([0.1 * np.gradient(v, H), 0.08 * v, 2.0 * np.sin(y[:, 0]), 0.15 * np.tanh(v / 1e-3)], axis=1)
-    share = np.sum(forces * wanted, axis=0) / np.sum(wanted**2, axis=0)
-    # Friction jumps within a sample, which held forces cannot.
+    # At reversals a force stands for what the varying plant does not know of dry friction.
+    moving = np.abs(v) > 0.3 * np.std(v)
+    share = np.sum((forces * wanted)[moving], axis=0) / np.sum(wanted[moving] ** 2, axis=0)
     assert np.allclose(share, 1.0, atol=[0.02, 0.02, 0.02, 0.1]), share
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_the_varying_plant_moves_as_the_simulator_does(hold):
+    def held(u, w, numbers):
+        # Straight lines as steps of a finer grid.
+        if hold == "zero":
+            return pendulum.simulator(u, w, numbers)
+        fine = 20
+        at = np.arange(len(u) * fine) / fine + 0.5 / fine
+        lines = [np.interp(at, np.arange(len(u)), x[:, 0])[:, None] for x in (u, w)]
+        made = pendulum.run(sum(lines)[:, 0], numbers, h=H / fine, steps=2)
+        return np.asarray(made)[::fine, None]
+
+    u = pendulum.torque(SAMPLES, np.random.default_rng(9), size=0.8)[:, None]
+    record = jaxgray.Record(u, np.zeros_like(u), H, hold=hold)
+    simulator, values = Simulator(held, tuple(pendulum.TRUTH), 1), np.array(list(pendulum.TRUTH.values()))
+    problem = Problem(simulator, (Span(record, slice(0, SAMPLES), None),), values, FORCES)
+    run = problem.runs(problem.called(np.ones(4)))
+    problem.spans = (Span(dataclasses.replace(record, y=run.y[0]), slice(0, SAMPLES), None),)
+    problem.plant = linearized(simulator, record, run.calls[0], run.y[0], np.random.default_rng(1))
+    linear = problem.linear_simulator(np.ones(4), 1)
+    wholes = problem.linear_data(linear, problem.with_forces(run))
+    here = Candidate(np.ones(4), wholes.states)
+    assert np.std(linear.run(here, wholes.data[0])[:SAMPLES] - run.y[0]) < 1e-4 * np.std(run.y[0])
+    for change in 0.01 * np.eye(4):
+        moved = problem.runs(problem.called(1 + change)).y[0] - run.y[0]
+        foreseen = linear.run(here.with_entries(1 + change), wholes.data[0])[:SAMPLES] - run.y[0]
+        assert np.std(foreseen - moved) < 0.1 * np.std(moved)
 
 
 @pytest.mark.parametrize("law, size, most", [(pendulum.cubic, 0.3, 8), (pendulum.stop, 0.5, 24)])
@@ -147,7 +181,7 @@ def test_slopes_of_the_varying_plant_are_those_of_the_simulator():
     assert plant.varying.v[0] == 0.0
     w = 1e-4 * np.random.default_rng(2).standard_normal(u.shape)
     moved = simulator.run(Call(u, w, call.numbers)) - y
-    assert np.std(plant.varying.response(w, y, record) - moved) < 0.03 * np.std(moved)
+    assert np.std(plant.varying.response(w, y, record) - moved) < 0.01 * np.std(moved)
 
 
 def broken(how):

@@ -226,7 +226,9 @@ class Simulator:
 
     def run(self, candidate: Candidate, data: Data, record: int = 0) -> Float[np.ndarray, "samples outputs"]:
         """Outputs of a candidate on one record, and on in the padding unless they run away there."""
-        candidate = _acting(self.completed(candidate), record)
+        return self._outputs(_acting(self.completed(candidate), record), data, record)
+
+    def _outputs(self, candidate: Candidate, data: Data, record: int) -> Float[np.ndarray, "samples outputs"]:
         y = self._run(candidate, data, record)[0][:, : self.setup.dofs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:

@@ -17,6 +17,7 @@ from ...mechanics.drives import Force
 from ...mechanics.extended import Plant, held_input
 from ...mechanics.statespace import hold_matrices
 from ...numerics.outcomes import RESULTS, ComputationError
+from ...numerics.stored_programs import ONCE, stored
 from ...records import Record
 from ..equation_error.rows import around_samples
 from ..model.candidate import Data
@@ -47,6 +48,15 @@ ROWS = 10
 REVERSAL = 0.1
 """Velocity about a reversal, relative to its root mean square, at which damping may be other."""
 
+TURN = 0.3
+"""Width of the turn of dry friction, relative to the velocity near a reversal."""
+
+WAY = 4
+"""Steps on the way from one motion to another."""
+
+STICKS = 0.5
+"""Largest damping, in units of mass over sampling time: what sticks needs no more."""
+
 STEPS = 12
 """Of the iteration for the forces of a motion; what is near half the sampling rate never comes."""
 
@@ -71,7 +81,7 @@ class Linearized:
         if like.hold == "linear":
             # The sampled state under a linear hold is x less what the first input adds.
             first = first - np.asarray(_ahead(plant, padded)) @ padded.u[0]
-        return np.asarray(system.response(padded.u, first))[: len(w)]
+        return np.asarray(_respond(system, padded.u, first))[: len(w)]
 
     def forces_of(self, q: Float[np.ndarray, "samples dofs"], like: Record) -> tuple[np.ndarray, np.ndarray]:
         """Forces at the coordinates, and the first state, under which the plant makes a motion."""
@@ -87,6 +97,16 @@ class Linearized:
         f = self.varying(error, motion, like.sampling_time)
         # Held from sample to sample, forces act half a sample later: so that none comes late, the mean of two.
         return f if like.hold == "linear" else np.concatenate([(f[:-1] + f[1:]) / 2, f[-1:]])
+
+    def beside(
+        self, motion: Float[np.ndarray, "samples dofs"], other: Float[np.ndarray, "samples dofs"], like: Record
+    ) -> tuple[Float[np.ndarray, "samples dofs"], Float[np.ndarray, "samples dofs"]]:
+        """Stiffness and damping at every coordinate, beside those of this plant, that lead from one motion of the
+        simulator to another (NaN where it is not known)."""
+        dofs, table = len(self.mass), self.varying.table
+        stiffness, damping = self.varying.beside(motion, other, like.sampling_time, like.hold)
+        D, K = (np.diag(table[:, k * dofs : (k + 1) * dofs]) for k in (1, 2))
+        return stiffness + K - np.diag(self.stiffness), damping + D - np.diag(self.damping)
 
     def _balance(self, q, h):
         """M q̈ + D q̇ + K q by central differences."""
@@ -116,6 +136,7 @@ class Varying:
     def _columns(self, small, large, h, i):
         slope, second = _derivatives(small, h)
         near = self._near(np.gradient(large[:, i], h), i)
+        near = np.concatenate([near[:1], (near[:-1] + near[1:]) / 2])
         # As they are about the sample, like the force.
         small = small + second * h**2 / 12
         pieces = small[:, i, None] * (_pieces(large[:, i], self.knots[i]) - self.mean[i])
@@ -144,8 +165,14 @@ class Varying:
         return cls(np.stack(rows), knots, mean, v)
 
     def _near(self, slope: np.ndarray, i: int) -> np.ndarray:
-        """How near a coordinate is to a reversal, from 0 to 1."""
-        return np.exp(-((slope / self.v[i]) ** 2)) if self.v[i] > 0 else 0.0 * slope
+        """Slope of a friction of size 1 over the velocity [s], from sample to sample."""
+        if self.v[i] == 0.0:
+            return 0.0 * slope
+        turn = TURN * self.v[i]
+        force, rise = np.tanh(slope / turn), np.diff(slope)
+        at_once, still = (1 - force[:-1] ** 2) / turn, np.abs(rise) < 1e-3 * turn
+        secant = np.where(still, at_once, np.diff(force) / np.where(still, 1.0, rise))
+        return np.concatenate([secant, secant[-1:]])
 
     def in_motion(self, large: np.ndarray, h: float) -> list[np.ndarray]:
         """Samples that are not near a reversal of a coordinate, where dry friction takes the force and nothing answers;
@@ -161,7 +188,7 @@ class Varying:
         stiffness, damping = np.tile(K, (samples, 1, 1)), np.tile(D, (samples, 1, 1))
         speed = np.gradient(large, h, axis=0)
         for i in range(dofs):
-            pieces = _pieces(large[:, i], self.knots[i]) - self.mean[i]
+            pieces = _over_samples(_pieces(large[:, i], self.knots[i])) - self.mean[i]
             stiffness[:, i, i] += pieces @ self.table[i, 3 * dofs : -1]
             damping[:, i, i] += self.table[i, -1] * self._near(speed[:, i], i)
         system = np.zeros((samples, 3 * dofs, 3 * dofs))
@@ -185,6 +212,23 @@ class Varying:
             made[k] = x[: large.shape[1]]
             x = A[k] @ x + B[k] @ w
         return made
+
+    def beside(self, large: np.ndarray, other: np.ndarray, h: float, hold: str) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness and damping at every coordinate, beside M, D, K, held as inputs are, on the way from one large
+        motion to another (NaN where it is not known): what is met on the mean leads from the one to the other."""
+        dofs = large.shape[1]
+        stiffness, damping = np.zeros_like(large), np.zeros_like(large)
+        speed, other = np.gradient(large, h, axis=0), np.where(np.isfinite(other), other, large)
+        over = _over_samples if hold == "zero" else np.asarray
+        shares = (np.arange(WAY) + 0.5) / WAY
+        for i in range(dofs):
+            for share in shares:
+                q = large[:, i] + share * (other[:, i] - large[:, i])
+                pieces = over(_pieces(q, self.knots[i])) - self.mean[i]
+                stiffness[:, i] += pieces @ self.table[i, 3 * dofs : -1] / WAY
+            most = STICKS * self.table[i, i] / h
+            damping[:, i] = np.minimum(self.table[i, -1] * self._near(speed[:, i], i), most)
+        return stiffness, damping
 
     @property
     def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -214,11 +258,21 @@ def _pieces(q: Float[np.ndarray, " samples"], knots: Float[np.ndarray, " knots"]
     return np.stack([np.interp(q, knots, one) for one in np.eye(len(knots))], axis=1)
 
 
+def _over_samples(X: np.ndarray) -> np.ndarray:
+    """Means over every sample of what is given at its beginning."""
+    return np.concatenate([(X[:-1] + X[1:]) / 2, X[-1:]])
+
+
 def _derivatives(q: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     slope, second = np.gradient(q, h, axis=0), np.zeros_like(q)
     second[1:-1] = (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2
     second[0], second[-1] = second[1], second[-2]
     return slope, second
+
+
+@stored(level=ONCE)
+def _respond(system, u, first):
+    return system.response(u, first)
 
 
 def _ahead(plant: Plant, data: Data):

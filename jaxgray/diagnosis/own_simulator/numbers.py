@@ -1,8 +1,9 @@
-"""The numbers of a simulator as what a refit moves, in the place of the entries of M, D, K.
+"""The numbers of a simulator as what a refit moves, in the place of the entries of M, D, K, and its linear plant as it
+varies along a motion.
 
 Entry i is number i in units of its size, 1 as it was given. Along one motion a number that is larger takes more force:
-by so much, to first order, the forces follow the numbers. These forces stand behind the inputs of the data: u, then
-the forces at the coordinates, then their change number by number.
+by so much, to first order, the forces follow the numbers. The inputs of the data are u; stiffness, then damping at
+every coordinate beside M, D, K; the forces at the coordinates; and their change number by number.
 """
 
 import dataclasses
@@ -12,11 +13,47 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...mechanics.effects.base import AbstractForceEffect, Place, Term
 from ..model import simulator as free_run
 from ..model.candidate import Candidate, Data, Setup, of_record
 
 STEP = 1e-3
 """Step of an entry for its derivative: next to no curvature, far above rounding."""
+
+
+class StiffnessOverTime(AbstractForceEffect):
+    """Stiffness beside that of the linear plant, a known series in the place of an input."""
+
+    id = "stiffness_over_time"
+    family = "linear plant"
+    law = "f = k(t)·q"
+    parameters = ()
+    signature = "none: part of a linear plant"
+    reference = ""
+    places = "input"
+
+    def shapes(self, scales):
+        return []
+
+    def force(self, p, here, z):
+        return here.u * here.q
+
+
+class DampingOverTime(StiffnessOverTime):
+    """Damping beside that of the linear plant, likewise."""
+
+    id = "damping_over_time"
+    law = "f = d(t)·q̇"
+
+    def force(self, p, here, z):
+        return here.u * here.v
+
+
+def over_time(inputs: int, dofs: int) -> tuple[Term, ...]:
+    """The terms of a plant that varies, which stand behind so many inputs."""
+    laws = [law for law in (StiffnessOverTime(), DampingOverTime()) for _ in range(dofs)]
+    places = [Place(f"{law.id} {k % dofs + 1}", inputs + k) for k, law in enumerate(laws)]
+    return tuple(Term(law, place, np.zeros(0)) for law, place in zip(laws, places))
 
 
 class FixedMatrices(eqx.Module):
@@ -81,7 +118,7 @@ class NumbersSimulator(free_run.Simulator):
         y, J = super()._run_and_jacobian(candidate, self._moved(candidate.entries, data), record)
         J = np.array(J)
         for k, step in enumerate(STEP * np.eye(len(candidate.entries))):
-            there = super().run(candidate, self._moved(candidate.entries + step, data), record)
+            there = self._outputs(candidate, self._moved(candidate.entries + step, data), record)
             J[:, :, k] = (there - y) / STEP
         return y, J
 
@@ -89,7 +126,10 @@ class NumbersSimulator(free_run.Simulator):
         """Forces at the coordinates that the numbers of a candidate leave."""
         dofs, count = self.setup.dofs, len(self.setup.here)
         first = data.u.shape[1] - (count + 1) * dofs
-        return self._moved(candidate.entries, data).u[:, first : first + dofs]
+        forces = self._moved(candidate.entries, data).u[:, first : first + dofs]
+        # Series of the plant act as inputs, too, and were taken off.
+        stiffness, damping = np.split(data.u[:, first - 2 * dofs : first], 2, axis=1)
+        return forces + stiffness + damping
 
     def _moved(self, entries: Float[np.ndarray, " numbers"], data: Data) -> Data:
         """The data with the forces that numbers leave."""

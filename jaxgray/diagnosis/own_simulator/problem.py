@@ -16,8 +16,8 @@ from ..model.candidate import Candidate, Data
 from ..model.free_run import FreeRun
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
-from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers
-from .tracking import as_linear, forces_by_number, near_until, until
+from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time
+from .tracking import as_linear, forces_beside, forces_by_number, near_until, until
 
 SEEN = 0.1
 """Answer to a number that was given as 0, as it counts for one of size, relative to the motion."""
@@ -27,6 +27,9 @@ SIZES = 10.0 ** np.arange(-6, 7)
 
 IDLE = 1e-9
 """Force that a number takes, relative to the inputs, up to which it is rounding."""
+
+EXACT = 3
+"""Rounds in which the forces of a run are made exact for the steps of the linear plant."""
 
 RUN_AWAY = 1e3
 """Motion relative to that of the record beyond which a run counts as none."""
@@ -54,11 +57,13 @@ class Span:
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs of all spans: their `calls` and outputs `y`, and by how much more force every number takes."""
+    """Runs of all spans: their `calls` and outputs `y`, by how much more force every number takes, and whether that is
+    so along the whole records (`along`)."""
 
     calls: tuple[Call, ...]
     y: tuple[np.ndarray, ...]
     by_number: tuple[np.ndarray, ...] = ()
+    along: bool = False
 
 
 @dataclass
@@ -113,25 +118,19 @@ class Problem:
             forces_by_number(record=span.record, call=call, y=y, **known)
             for span, call, y in zip(self.spans, runs.calls, runs.y)
         ]
-        return dataclasses.replace(runs, by_number=tuple(forces))
+        return dataclasses.replace(runs, by_number=tuple(forces), along=self.follow(runs.y))
 
-    def with_slopes(self, runs: Runs, wholes: "Linear") -> Runs:
-        """Runs with the forces by which the linear plant follows the numbers as the simulator itself does, from those
-        that they take along the motion."""
-        forces = []
-        for span, y, taken in zip(self.spans, runs.y, wholes.by_number):
-            S = self.plant.varying.response(-taken, y, span.record)
-            columns = [-self.plant.forces_of(S[:, :, k], span.record)[0] for k in range(S.shape[2])]
-            forces.append(np.stack(columns, axis=2) if columns else S)
-        return dataclasses.replace(runs, by_number=tuple(forces))
+    def follow(self, y: tuple[np.ndarray, ...]) -> bool:
+        """Whether runs are near the whole records."""
+        return all(near_until(span.record, one) == len(one) for span, one in zip(self.spans, y))
 
     def linear_simulator(self, entries: Float[np.ndarray, " numbers"], substeps: int) -> NumbersSimulator:
         """The linear plant, with some entries as they are in the runs that it is about."""
         record, plant, count = self.record, self.plant, len(entries)
-        E = np.concatenate(
-            [plant.input_map, np.eye(record.outputs), np.zeros((record.outputs, count * record.outputs))], 1
-        )
+        known = np.eye(record.outputs)
+        E = np.concatenate([plant.input_map, known, known, known, np.zeros((len(known), count * len(known)))], 1)
         setup = NumbersSetup(
+            own=over_time(record.inputs, record.outputs),
             drive=Force(E),
             measured=record.measured,
             scaling=None,
@@ -160,14 +159,24 @@ class Problem:
             effects=terms,
         )
 
-    def linear_data(self, runs: Runs) -> "Linear":
+    def linear_data(self, linear: NumbersSimulator, runs: Runs) -> "Linear":
         """Records for the linear plant about some runs."""
-        made = [
-            as_linear(span.record, self.plant, call, y, S)
-            for span, call, y, S in zip(self.spans, runs.calls, runs.y, runs.by_number)
-        ]
-        records, states = (tuple(x) for x in zip(*made))
-        return Linear(records, states, tuple(Data.of(record) for record in records), runs.by_number)
+        records, states, rests = [], [], []
+        for span, call, y, S in zip(self.spans, runs.calls, runs.y, runs.by_number):
+            record, x0 = as_linear(span.record, self.plant, call, y, S)
+            there, rest = Candidate(linear.setup.here, (x0,)), np.zeros_like(y)
+            changed = (call.u - span.record.u) @ self.plant.input_map.T
+            varying = np.split(record.u[:, span.record.inputs :][:, : 2 * record.outputs], 2, axis=1)
+            for _ in range(EXACT):
+                # What its steps make otherwise.
+                pushed = Data.of(_pushed(record, span.record.inputs, changed + call.w + rest))
+                error = y - linear.motion(there, pushed)[0][: len(y)]
+                rest = rest + self.plant.forces_of(error, span.record)[0] + forces_beside(*varying, error, record)
+            records.append(_pushed(record, span.record.inputs, rest))
+            states.append(x0)
+            rests.append(rest)
+        data = tuple(Data.of(record) for record in records)
+        return Linear(tuple(records), tuple(states), data, runs.by_number, runs.y, tuple(rests), runs.along)
 
     def about(
         self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear", runs: Runs
@@ -175,8 +184,9 @@ class Problem:
         """The linear plant, and its records, about runs with the numbers of a candidate; runs without forces by number
         have those of the records before."""
         if not runs.by_number:
-            runs = dataclasses.replace(runs, by_number=wholes.by_number)
-        return self.linear_simulator(candidate.entries, linear.substeps), self.linear_data(runs)
+            runs = dataclasses.replace(runs, by_number=wholes.by_number, along=wholes.along)
+        linear = self.linear_simulator(candidate.entries, linear.substeps)
+        return linear, self.linear_data(linear, runs)
 
     def fit_data(self, wholes: "Linear") -> list[Data]:
         """The parts of records for the linear plant that the fit sees."""
@@ -198,7 +208,7 @@ class Problem:
             u = np.asarray(start)[:n, :inputs]
             # What the plant was given beside the laws.
             given = linear.forces(candidate, data)[:n] + u @ self.plant.input_map.T
-            w = self.plant.forces_of(q, span.record)[0] - given
+            w = self.plant.forces_of(q, span.record)[0] + wholes.beside(k, q) - given
             calls.append(Call(u, w, np.asarray(candidate.entries) * self.units))
         # Without laws the forces are none, but for what their iteration leaves.
         return (calls if candidate.terms else self.called(candidate.entries)), motions
@@ -238,13 +248,29 @@ class Problem:
 
 @dataclass(frozen=True)
 class Linear:
-    """Whole `records` for the linear plant about some runs, its first `states` there, the records as `data`, and by how
-    much more force every number takes."""
+    """Whole `records` for the linear plant about some runs, its first `states` there, the records as `data`, by how
+    much more force every number takes; the `motions` of the runs, and what its steps add to their forces (`rests`);
+    `along` as of `Runs`."""
 
     records: tuple[Record, ...]
     states: tuple[np.ndarray, ...]
     data: tuple[Data, ...]
     by_number: tuple[np.ndarray, ...]
+    motions: tuple[np.ndarray, ...]
+    rests: tuple[np.ndarray, ...]
+    along: bool
+
+    def series(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stiffness and damping of a record over time, beside those of the linear plant, and the forces there."""
+        u, dofs, numbers = self.records[k].u, self.motions[k].shape[1], self.by_number[k].shape[2]
+        first = u.shape[1] - (3 + numbers) * dofs
+        stiffness, damping, forces = np.split(u[:, first : first + 3 * dofs], 3, axis=1)
+        return stiffness, damping, forces + stiffness + damping
+
+    def beside(self, k: int, q: Float[np.ndarray, "samples dofs"]) -> Float[np.ndarray, "samples dofs"]:
+        """Forces at the coordinates, beside those of M, D, K, that a motion of the varying plant takes."""
+        stiffness, damping, _ = self.series(k)
+        return forces_beside(stiffness, damping, q, self.records[k]) + self.rests[k]
 
     def near(self, y: tuple[np.ndarray, ...]) -> "Linear":
         """The same as far as runs are near the records: a linear plant says nothing of what is far from them."""
@@ -258,11 +284,20 @@ class Linear:
             columns = np.moveaxis(forces, 2, 1).reshape(record.samples, -1)
             u = np.concatenate([record.u[:, : record.inputs - columns.shape[1]], columns], axis=1)
             records.append(dataclasses.replace(record, u=u))
-        return Linear(tuple(records), self.states, tuple(map(Data.of, records)), by_number)
+        data = tuple(map(Data.of, records))
+        return dataclasses.replace(self, records=tuple(records), data=data, by_number=by_number)
 
     def extended(self, candidate: Candidate) -> Candidate:
         """A candidate with first states for all records, those of the fit its own."""
         return dataclasses.replace(candidate, x0=(*candidate.x0, *self.states[len(candidate.x0) :]))
+
+
+def _pushed(record: Record, inputs: int, forces: np.ndarray) -> Record:
+    """A record for the linear plant with more forces at its coordinates."""
+    dofs, u = record.outputs, record.u.copy()
+    first = inputs + 2 * dofs
+    u[:, first : first + dofs] += forces
+    return dataclasses.replace(record, u=u)
 
 
 def sized(simulator: Simulator, call: Call, y: np.ndarray) -> np.ndarray:

@@ -83,10 +83,13 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
         tracked(simulator, problem.plant, span.record, call, y)
         for span, call, y in zip(problem.spans, baseline.calls, baseline.y)
     ]
+    if not problem.follow(baseline.y):
+        # The simulator alone is far from the record, and may answer otherwise where that is.
+        problem.plant = linearized(simulator, first, *followed[0], rng)
     about = problem.with_forces(Runs(*(tuple(x) for x in zip(*followed))))
     problem.idle = problem.idle_by(about.by_number)
     linear = problem.linear_simulator(start, steps_of(problem.linear_model(), first.sampling_time))
-    wholes, begin = problem.linear_data(about).near(about.y), None
+    wholes, begin = problem.linear_data(linear, about).near(about.y), None
     progress.unlimited.stage("fitting the simulator's numbers")
     context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
     fitted = _numbers_alone(problem, context, Candidate(start, wholes.states[: len(context.data)]), wholes)
@@ -177,9 +180,13 @@ def _asked_of_forces(problem: Problem, wholes: Linear, catalogue, rng, progress)
     dofs = problem.record.outputs
     laws = tuple(effect for effect in catalogue if isinstance(effect, AbstractForceEffect) and effect.places != "input")
     fit, held = [], []
-    for span, record in zip(problem.spans, wholes.records):
+    for k, (span, record) in enumerate(zip(problem.spans, wholes.records)):
         inputs = span.record.inputs
-        forces = record.u[:, inputs : inputs + dofs] + record.u[:, :inputs] @ problem.plant.input_map.T
+        stiffness, _, forces = wholes.series(k)
+        # Of the plant that does not vary.
+        off = np.where(np.isfinite(record.y), record.y, wholes.motions[k])
+        forces = forces - wholes.beside(k, wholes.motions[k]) - stiffness * (off - wholes.motions[k])
+        forces = forces + record.u[:, :inputs] @ problem.plant.input_map.T
         pushed = Record(forces, record.y, record.sampling_time, output_names=record.output_names, hold=record.hold)
         for part, group in ((span.fit, fit), (span.held, held)):
             # Nothing is known of what no run was near.

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...identification.refinement.conic import pseudo_inverse
-from ...numerics.bounded import bounded
 from ...numerics.outcomes import RESULTS, ComputationError
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit, refit
@@ -19,8 +17,12 @@ from .gains import parts_of
 from .numbers import NumbersSimulator
 from .problem import Linear, Problem, Runs
 
-SETTLING = 8
-"""Runs at most until laws and numbers stand still in the simulator."""
+SETTLING, PATIENCE, FLAT = 24, 4, 2
+"""Runs at most until laws and numbers stand still in the simulator; runs in a row that come no nearer to the records
+than one before, after which none does; and such runs that are as near, after which they stand still."""
+
+NEARER = 0.02
+"""Share of what is left by which a run must come nearer."""
 
 CLOSED = 3
 """Runs that bring the forces of given laws along the simulator's own motion."""
@@ -28,7 +30,11 @@ CLOSED = 3
 STILL = 0.25
 """Change of every parameter, in standard errors, at which they do."""
 
-FORESEEN = 0.1
+SAME_WAY, FURTHEST = 0.5, 5.0
+"""Cosine between two steps in standard errors from which they go the same way, and how many times further than the last
+one they may lead."""
+
+FORESEEN = 0.3
 """Difference of a run from the motion that the linear plant foresaw, relative to what the run leaves of the record, at
 which the force of a law is that along the simulator's own motion."""
 
@@ -61,16 +67,16 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     **Raises:** `ComputationError` where the simulator does not run with what was found.
     """
     linear, noise_model, candidate = context.simulator, noise_model_of(context, fit), fit.candidate
-    best, before = None, np.inf
+    best, nearest, since, steps, ends = None, np.inf, 0, [], []
     for turn in range(SETTLING):
         context.progress.unlimited.stage(f"settling in the simulator ({turn + 1})")
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
         runs = problem.tried(calls if candidate.terms else problem.called(candidate.entries))
         if runs is None:
             break
-        if turn == 0 and not candidate.terms:
-            # Beside laws, numbers must move the linear plant as laws do: by the force that they take along the motion.
-            runs = problem.with_slopes(runs, wholes)
+        if not wholes.along and problem.follow(runs.y):
+            # What the numbers take, where no run was before.
+            runs = problem.with_forces(runs)
         linear, wholes = problem.about(linear, candidate, wholes, runs)
         data = problem.fit_data(wholes)
         again = refit(linear, candidate, data, noise_model, held=context.held)
@@ -78,59 +84,59 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
             break
         size = np.sqrt(np.maximum(np.diag(again.covariance), 1e-300))
         layout = Layout(linear.setup, candidate)
-        change = np.abs(layout.vector(again.candidate) - layout.vector(candidate)) / size
-        largest = float(np.max(change[size > 1e-150], initial=0.0))
+        begun, end = layout.vector(candidate), layout.vector(again.candidate)
+        largest = float(np.max(np.abs(end - begun)[size > 1e-150] / size[size > 1e-150], initial=0.0))
+        steps.append((begun, end))
         # What the linear plant had left was no noise.
         noise_model = noise_model_of(dataclasses.replace(context, simulator=linear, data=data), again)
         y = problem.seen(linear, candidate, wholes, runs)
         left = left_by(problem, y)
-        # Along a direction that the record hardly knows they may wander, and no run is any better.
-        flat = largest < 1.0 and abs(left - before) * sum(d.samples for d in data) < 1.0
+        since = 0 if left < nearest - NEARER else since + 1
+        # A simulator in steps of its own answers in steps, and parameters wander where no run is any better.
+        flat = since >= FLAT and left < nearest + NEARER
         still = turn > 0 and (largest < STILL or flat)
         still = still and (not candidate.terms or _as_foreseen(problem, runs, foreseen, y))
-        candidate, before = again.candidate, left
-        best = Settled(candidate, again, linear, wholes, tuple(data), y, still)
-        if still or (turn > 0 and left > beyond):
+        ends.append((left, end))
+        if best is None or left < nearest:
+            best, nearest = Settled(again.candidate, again, linear, wholes, tuple(data), y, still), left
+        best = dataclasses.replace(best, still=still)
+        if still or since == PATIENCE or (turn > 0 and left > beyond):
             break
+        ahead = np.clip(end + _further(steps[-2:], size), *layout.bounds)
+        candidate = layout.candidate(ahead, again.candidate)
     if best is None:
         raise ComputationError(
             RESULTS.simulator_failed, stage="simulator", detail="it does not run with the laws that were found"
         )
-    return dataclasses.replace(best, fit=_with_errors(problem, best))
+    return dataclasses.replace(
+        best, fit=_widened(best.fit, layout, [end for left, end in ends if left < nearest + NEARER])
+    )
 
 
-def _with_errors(problem: Problem, settled: Settled) -> Refit:
-    """The fit with the errors of its parameters in a plant that varies along the motion, as the simulator does: the
-    fit's own are those of a plant that does not.
-
-    **Reference:** White, *Maximum likelihood estimation of misspecified models*, Econometrica 50 (1982) 1-25.
-    """
-    fit, layout = settled.fit, Layout(settled.linear.setup, settled.candidate)
-    moving = np.flatnonzero(np.diag(fit.covariance) > 0)
-    own, across = np.zeros((2, layout.size, layout.size))
-    spans = [span for span in problem.spans if span.fit is not None]
-    for k, (span, y, e, J) in enumerate(zip(spans, settled.y, fit.residual, fit.jacobian)):
-        n = min(len(J), span.fit.stop - span.fit.start)
-        motion, J = y[span.fit], J[:n]
-        made = np.array(J)
-        states = slice(layout.entries, layout.entries + layout.states)
-        for j in np.setdiff1d(np.arange(J.shape[2]), np.arange(states.start, states.stop)):
-            made[:, :, j] = problem.plant.forces_of(J[:, :, j], span.record[span.fit])[0]
-        made = problem.plant.varying.response(made, motion, span.record)
-        made[:, :, states] = J[:, :, states]
-        kept = np.isfinite(span.record.y[span.fit]) / np.sqrt(np.maximum(np.mean(e[:n] ** 2, axis=0), 1e-300))
-        ours, theirs = (layout.widened(X * kept[:, :, None], k).reshape(-1, layout.size) for X in (J, made))
-        own, across = own + ours.T @ ours, across + ours.T @ theirs
-    if not bounded(own, across):
-        return fit
-    moving = moving[np.diag(own)[moving] > 0]
-    inside = np.ix_(moving, moving)
-    size = np.sqrt(np.diag(own[inside]))
-    inverse = np.linalg.pinv(across[inside] / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
-    spread = np.diag(inverse @ own[inside] @ inverse.T) / np.maximum(np.diag(pseudo_inverse(own[inside])), 1e-300)
-    scale = np.ones(layout.size)
-    scale[moving] = np.sqrt(np.maximum(spread, 1.0))
+def _widened(fit: Refit, layout: Layout, ends: list[np.ndarray]) -> Refit:
+    """A fit with errors of its parameters that hold the ends of others, whose runs are as near to the records."""
+    spread = np.mean((np.array(ends) - layout.vector(fit.candidate)) ** 2, axis=0)
+    variance = np.diag(fit.covariance)
+    known = variance > 1e-300
+    scale = np.sqrt(1 + np.where(known, spread / np.where(known, variance, 1.0), 0.0))
     return dataclasses.replace(fit, covariance=fit.covariance * np.outer(scale, scale))
+
+
+def _further(steps: list[tuple[np.ndarray, np.ndarray]], size: np.ndarray) -> np.ndarray:
+    """How much further the last of some steps (from, to) leads, where the step before went the same way: a plant that
+    answers not quite as the simulator does comes nearer by a share at a time.
+
+    **Reference:** Anderson, *Iterative procedures for nonlinear integral equations*, J. ACM 12 (1965) 547-560.
+    """
+    moved = np.where(size > 1e-150, size, np.inf)
+    if len(steps) < 2:
+        return 0.0 * size
+    before, now = ((end - begun) / moved for begun, end in steps)
+    if not before @ now > SAME_WAY * np.linalg.norm(before) * np.linalg.norm(now):
+        return 0.0 * size
+    change = now - before
+    further = -(now @ change) / max(change @ change, 1e-300) * (steps[1][1] - steps[0][1])
+    return further * min(1.0, FURTHEST * np.linalg.norm(now) / max(np.linalg.norm(further / moved), 1e-300))
 
 
 def left_by(problem: Problem, y: tuple[np.ndarray, ...]) -> float:
@@ -152,11 +158,13 @@ def with_numbers(problem: Problem, settled: Settled, entries: np.ndarray) -> tup
     run with them."""
     linear, wholes, candidate = settled.linear, settled.wholes, settled.candidate.with_entries(entries)
     for _ in range(CLOSED if candidate.terms else 1):
-        calls, _ = problem.with_laws(linear, candidate, wholes) or (None, None)
+        calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
         runs = problem.tried(calls)
         if runs is None:
             return None
         linear, wholes = problem.about(linear, candidate, wholes, runs)
+        if _as_foreseen(problem, runs, foreseen, problem.seen(linear, candidate, wholes, runs)):
+            break
     return problem.seen(linear, candidate, wholes, runs)
 
 

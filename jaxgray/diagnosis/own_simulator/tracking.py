@@ -8,7 +8,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.ndimage
 from jaxtyping import Float
 
 from ...numerics.bounded import bounded
@@ -38,9 +37,6 @@ ROUNDING = 1e-6
 SMALL = 0.1
 """Largest difference of a run with a little more of a number, relative to the motion, for a force to first order."""
 
-BESIDE = 2
-"""Samples beside a reversal at which derivatives still see it."""
-
 BEYOND = 5.0
 """Standard deviations of the noise, beside its share of the motion, within which a run is near a record."""
 
@@ -50,7 +46,7 @@ IN_A_ROW, FEWEST = 5, 50
 ENOUGH = 0.95
 """Share of the error that a round must leave at most, for another one."""
 
-NUMBER = 1e-3
+NUMBER = 1e-2
 """Step of a number, in units of it, for the force that it takes."""
 
 
@@ -61,19 +57,24 @@ def as_linear(
     y: Float[np.ndarray, "samples dofs"],
     by_number: Float[np.ndarray, "samples dofs numbers"],
 ) -> tuple[Record, np.ndarray]:
-    """A record for the linear plant: behind its own inputs the forces under which the plant makes the simulator's
-    motion, less what the call gave it, and by how much more force every number takes.
+    """A record for the linear plant: behind its own inputs the stiffness and damping by which it varies, the forces
+    under which it makes the simulator's motion, less what the call gave it, and by how much more force every number
+    takes.
 
     **Arguments:** `record`; `plant`; `call` and its outputs `y`; `by_number`: as `forces_by_number` gives it.
 
     **Returns:** the record, and the first state of the plant.
     """
+    stiffness, damping = plant.beside(y, record.y, record)
     made, x0 = plant.forces_of(y, record)
+    made = made + forces_beside(stiffness, damping, y, record)
     columns = np.moveaxis(by_number, 2, 1).reshape(len(y), -1)
-    names = [f"force at {name}" for name in record.output_names]
+    names = [f"{kind} at {name}" for kind in ("stiffness", "damping", "force") for name in record.output_names]
     names += [f"number {k + 1}" for k in range(columns.shape[1])]
-    units = [record.input_units[0]] * record.outputs + [""] * columns.shape[1]
-    u = np.concatenate([record.u, made - call.u @ plant.input_map.T - call.w, columns], axis=1)
+    units = [""] * (2 * record.outputs) + [record.input_units[0]] * record.outputs + [""] * columns.shape[1]
+    # As inputs the series of the plant act, too.
+    forces = made - call.u @ plant.input_map.T - call.w - stiffness - damping
+    u = np.concatenate([record.u, stiffness, damping, forces, columns], axis=1)
     return Record(
         u,
         record.y,
@@ -87,6 +88,23 @@ def as_linear(
         scheduling=record.scheduling,
         start_time=record.start_time,
     ), x0
+
+
+def forces_beside(
+    stiffness: Float[np.ndarray, "samples dofs"],
+    damping: Float[np.ndarray, "samples dofs"],
+    q: Float[np.ndarray, "samples dofs"],
+    like: Record,
+) -> Float[np.ndarray, "samples dofs"]:
+    """Forces that stiffness and damping over time take along a motion, held as the inputs of a record are."""
+    h, v = like.sampling_time, np.gradient(q, like.sampling_time, axis=0)
+    if like.hold == "linear":
+        return stiffness * q + damping * v
+    # Over every sample, with a curvature like that at its ends.
+    middle, rise = q.copy(), v * h
+    rise[:-1] = np.diff(q, axis=0)
+    middle[:-1] = (q[:-1] + q[1:]) / 2 - h / 8 * np.diff(v, axis=0)
+    return stiffness * middle + damping * rise / h
 
 
 def tracked(
@@ -295,27 +313,8 @@ def forces_by_number(
         while np.any(np.max(np.abs(there - y), axis=0) > SMALL * _motion(record)) and abs(step) > NUMBER / 50:
             step /= 10
             there = simulator.run(stepped(unit, step))
-        taken = plant.forces_beside(y - there, y, record) / step
-        found.append(through_reversals(plant, record, taken, y))
+        found.append(plant.forces_beside(y - there, y, record) / step)
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
-
-
-def through_reversals(
-    plant: Linearized, record: Record, force: Float[np.ndarray, "samples dofs"], y: Float[np.ndarray, "samples dofs"]
-) -> Float[np.ndarray, "samples dofs"]:
-    """Forces with straight lines where dry friction takes what is asked for, and nothing of a run `y` answers."""
-    n, result = np.arange(len(force)), force.copy()
-    for column, rows in zip(result.T, plant.varying.in_motion(y, record.sampling_time)):
-        known = scipy.ndimage.binary_erosion(rows, iterations=BESIDE, border_value=1)
-        if not np.any(known):
-            continue
-        # From the mean of some samples beside.
-        count, total = (
-            scipy.ndimage.uniform_filter1d(np.where(known, x, 0.0), 2 * BESIDE + 1, mode="nearest")
-            for x in (np.ones(len(n)), column)
-        )
-        column[~known] = np.interp(n, n[known], total[known] / count[known])[~known]
-    return result
 
 
 def _size(record: Record, y: np.ndarray) -> float:
