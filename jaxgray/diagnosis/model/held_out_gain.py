@@ -116,7 +116,8 @@ def _interval(runs, floor, between: float) -> tuple[float, float]:
         left = [pieces.left(np.delete(everything, k)) for k in everything]
         spreads.append(np.sqrt((len(left) - 1) * np.var(left)))
     reach = np.hypot(float(scipy.special.stdtrit(LONG[0] - 1, 0.975)) * max(spreads), between)
-    before, _, baseline = pieces.overall(everything)
-    return tuple(
-        float(100 * before / baseline * (1 - np.exp(pieces.left(everything) + side * reach))) for side in (1, -1)
-    )
+    whole, before, baseline = float(pieces.left(everything)), *pieces.overall(everything)[::2]
+    # Where all of the error is in one piece, others do without the law: a gain of none, and no loss.
+    worst = max(float(np.max(pieces.left(everything[:, None]))), whole + between)
+    ends = min(whole + reach, worst), whole - reach
+    return tuple(float(100 * before / baseline * (1 - np.exp(end))) for end in ends)

@@ -205,6 +205,12 @@ class Simulator:
         """A candidate with the laws of the user's own model among its terms."""
         return completed(candidate, self.setup.own)
 
+    def answered(
+        self, plant: Plant, responses: Float[np.ndarray, "columns samples outputs"], data: Data
+    ) -> Float[np.ndarray, "columns samples outputs"]:
+        """Responses of the linear plant to forces and inputs, as what it stands for answers: the same."""
+        return responses
+
     def without_forces(self, candidate: Candidate) -> tuple["Simulator", Candidate] | None:
         """What simulates a candidate without the forces of its laws, and that candidate; None where it has none."""
         full = self.completed(candidate)

@@ -188,30 +188,17 @@ class Varying:
         stiffness, damping = np.tile(K, (samples, 1, 1)), np.tile(D, (samples, 1, 1))
         speed = np.gradient(large, h, axis=0)
         for i in range(dofs):
-            pieces = _over_samples(_pieces(large[:, i], self.knots[i])) - self.mean[i]
+            pieces = over_samples(_pieces(large[:, i], self.knots[i])) - self.mean[i]
             stiffness[:, i, i] += pieces @ self.table[i, 3 * dofs : -1]
             damping[:, i, i] += self.table[i, -1] * self._near(speed[:, i], i)
-        system = np.zeros((samples, 3 * dofs, 3 * dofs))
-        system[:, :dofs, dofs : 2 * dofs] = np.eye(dofs)
-        inverse = np.linalg.inv(M)
-        system[:, dofs : 2 * dofs, :dofs] = -inverse @ stiffness
-        system[:, dofs : 2 * dofs, dofs : 2 * dofs] = -inverse @ damping
-        system[:, dofs : 2 * dofs, 2 * dofs :] = inverse
-        made = scipy.linalg.expm(h * system)
-        return made[:, : 2 * dofs, : 2 * dofs], made[:, : 2 * dofs, 2 * dofs :]
+        return sampled_over_time(M, damping, stiffness, h)
 
     def response(self, forces: Float[np.ndarray, "samples dofs *many"], large: np.ndarray, like: Record) -> np.ndarray:
         """The small motion that forces, held as the inputs of a record are, make from rest beside a large one; or many,
         side by side."""
-        A, B = self.sampled(large, like.sampling_time)
-        if like.hold == "linear":
-            # Over each sample their mean.
-            forces = np.concatenate([(forces[:-1] + forces[1:]) / 2, forces[-1:]])
-        x, made = np.zeros((2 * large.shape[1], *forces.shape[2:])), np.empty(forces.shape)
-        for k, w in enumerate(forces):
-            made[k] = x[: large.shape[1]]
-            x = A[k] @ x + B[k] @ w
-        return made
+        # Under a linear hold over each sample their mean.
+        forces = over_samples(forces) if like.hold == "linear" else forces
+        return moved_from_rest(*self.sampled(large, like.sampling_time), forces)
 
     def beside(self, large: np.ndarray, other: np.ndarray, h: float, hold: str) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness and damping at every coordinate, beside M, D, K, held as inputs are, on the way from one large
@@ -219,7 +206,7 @@ class Varying:
         dofs = large.shape[1]
         stiffness, damping = np.zeros_like(large), np.zeros_like(large)
         speed, other = np.gradient(large, h, axis=0), np.where(np.isfinite(other), other, large)
-        over = _over_samples if hold == "zero" else np.asarray
+        over = over_samples if hold == "zero" else np.asarray
         shares = (np.arange(WAY) + 0.5) / WAY
         for i in range(dofs):
             for share in shares:
@@ -237,6 +224,29 @@ class Varying:
         parts = (self.table[:, k * dofs : (k + 1) * dofs] for k in range(3))
         M, D, K = ((X + X.T) / 2 for X in parts)
         return M, _semidefinite(D), _semidefinite(K)
+
+
+def sampled_over_time(M, damping, stiffness, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """What (q, q̇) become over each sample, and what held forces add: (samples × 2 dofs × 2 dofs) and (samples × 2 dofs
+    × dofs); `damping`, `stiffness` (samples × dofs × dofs) over time, held."""
+    dofs, inverse = len(M), np.linalg.inv(M)
+    system = np.zeros((len(stiffness), 3 * dofs, 3 * dofs))
+    system[:, :dofs, dofs : 2 * dofs] = np.eye(dofs)
+    system[:, dofs : 2 * dofs, :dofs] = -inverse @ stiffness
+    system[:, dofs : 2 * dofs, dofs : 2 * dofs] = -inverse @ damping
+    system[:, dofs : 2 * dofs, 2 * dofs :] = inverse
+    made = scipy.linalg.expm(h * system)
+    return made[:, : 2 * dofs, : 2 * dofs], made[:, : 2 * dofs, 2 * dofs :]
+
+
+def moved_from_rest(A, B, forces: Float[np.ndarray, "samples dofs *many"]) -> Float[np.ndarray, "samples dofs *many"]:
+    """Displacements that forces make from rest, sample by sample as `sampled_over_time` has them."""
+    dofs = forces.shape[1]
+    x, made = np.zeros((2 * dofs, *forces.shape[2:])), np.empty(forces.shape)
+    for k, w in enumerate(forces):
+        made[k] = x[:dofs]
+        x = A[k] @ x + B[k] @ w
+    return made
 
 
 def _least_squares(X: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -258,7 +268,7 @@ def _pieces(q: Float[np.ndarray, " samples"], knots: Float[np.ndarray, " knots"]
     return np.stack([np.interp(q, knots, one) for one in np.eye(len(knots))], axis=1)
 
 
-def _over_samples(X: np.ndarray) -> np.ndarray:
+def over_samples(X: np.ndarray) -> np.ndarray:
     """Means over every sample of what is given at its beginning."""
     return np.concatenate([(X[:-1] + X[1:]) / 2, X[-1:]])
 

@@ -14,8 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...mechanics.effects.base import AbstractForceEffect, Place, Term
+from ...mechanics.step_rows import Plant
 from ..model import simulator as free_run
 from ..model.candidate import Candidate, Data, Setup, of_record
+from .linearized import moved_from_rest, over_samples, sampled_over_time
 
 STEP = 1e-3
 """Step of an entry for its derivative: next to no curvature, far above rounding."""
@@ -122,13 +124,29 @@ class NumbersSimulator(free_run.Simulator):
             J[:, :, k] = (there - y) / STEP
         return y, J
 
+    def answered(self, plant: Plant, responses: Float[np.ndarray, "columns samples outputs"], data: Data):
+        stiffness, damping = self._over_time(data)
+        moved = np.moveaxis(responses, 0, 2)
+        slope = np.gradient(moved, data.sampling_time, axis=0)
+        # What the plant that does not vary leaves out.
+        forces = -stiffness[:, :, None] * over_samples(moved) - damping[:, :, None] * over_samples(slope)
+        D, K = (X + Y[:, :, None] * np.eye(len(X)) for X, Y in ((plant.damping, damping), (plant.stiffness, stiffness)))
+        sampled = sampled_over_time(plant.mass, D, K, data.sampling_time)
+        return responses + np.moveaxis(moved_from_rest(*sampled, forces), 2, 0)
+
+    def _over_time(self, data: Data) -> list[np.ndarray]:
+        """Stiffness and damping beside those of the plant."""
+        dofs = self.setup.dofs
+        first = data.u.shape[1] - (len(self.setup.here) + 3) * dofs
+        return np.split(data.u[:, first : first + 2 * dofs], 2, axis=1)
+
     def forces(self, candidate: Candidate, data: Data) -> Float[np.ndarray, "samples dofs"]:
         """Forces at the coordinates that the numbers of a candidate leave."""
         dofs, count = self.setup.dofs, len(self.setup.here)
         first = data.u.shape[1] - (count + 1) * dofs
         forces = self._moved(candidate.entries, data).u[:, first : first + dofs]
         # Series of the plant act as inputs, too, and were taken off.
-        stiffness, damping = np.split(data.u[:, first - 2 * dofs : first], 2, axis=1)
+        stiffness, damping = self._over_time(data)
         return forces + stiffness + damping
 
     def _moved(self, entries: Float[np.ndarray, " numbers"], data: Data) -> Data:

@@ -17,7 +17,7 @@ from ..model.free_run import FreeRun
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time
-from .tracking import as_linear, forces_beside, forces_by_number, near_until, until
+from .tracking import as_linear, forces_beside, forces_by_number, near_until, tracked, until
 
 SEEN = 0.1
 """Answer to a number that was given as 0, as it counts for one of size, relative to the motion."""
@@ -119,6 +119,12 @@ class Problem:
             for span, call, y in zip(self.spans, runs.calls, runs.y)
         ]
         return dataclasses.replace(runs, by_number=tuple(forces), along=self.follow(runs.y))
+
+    def led(self, runs: Runs) -> Runs:
+        """Runs that forces beside those of their calls lead along the records, as far as they can."""
+        spans = zip(self.spans, runs.calls, runs.y)
+        found = [tracked(self.simulator, self.plant, span.record, call, y) for span, call, y in spans]
+        return Runs(*(tuple(x) for x in zip(*found)))
 
     def follow(self, y: tuple[np.ndarray, ...]) -> bool:
         """Whether runs are near the whole records."""

@@ -28,7 +28,6 @@ from .gains import gain_between, nearer, parts_of
 from .linearized import linearized
 from .problem import Linear, Problem, Runs, Span, sized
 from .settling import Settled, refit_of_numbers, settle
-from .tracking import tracked
 
 REPEATED = 1e-9
 """Difference of two runs with the same inputs, relative to the motion, that rounding may make."""
@@ -79,14 +78,11 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     progress.unlimited.stage("linearizing the simulator")
     problem.plant = linearized(simulator, first, baseline.calls[0], baseline.y[0], rng)
     progress.unlimited.stage("looking for the force that it lacks")
-    followed = [
-        tracked(simulator, problem.plant, span.record, call, y)
-        for span, call, y in zip(problem.spans, baseline.calls, baseline.y)
-    ]
+    followed = problem.led(baseline)
     if not problem.follow(baseline.y):
         # The simulator alone is far from the record, and may answer otherwise where that is.
-        problem.plant = linearized(simulator, first, *followed[0], rng)
-    about = problem.with_forces(Runs(*(tuple(x) for x in zip(*followed))))
+        problem.plant = linearized(simulator, first, followed.calls[0], followed.y[0], rng)
+    about = problem.with_forces(followed)
     problem.idle = problem.idle_by(about.by_number)
     linear = problem.linear_simulator(start, steps_of(problem.linear_model(), first.sampling_time))
     wholes, begin = problem.linear_data(linear, about).near(about.y), None

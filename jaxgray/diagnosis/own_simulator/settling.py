@@ -17,6 +17,9 @@ from .gains import parts_of
 from .numbers import NumbersSimulator
 from .problem import Linear, Problem, Runs
 
+LED = 2
+"""Runs at most that a force leads along the records, where the laws alone lead elsewhere."""
+
 SETTLING, PATIENCE, FLAT = 24, 4, 2
 """Runs at most until laws and numbers stand still in the simulator; runs in a row that come no nearer to the records
 than one before, after which none does; and such runs that are as near, after which they stand still."""
@@ -74,10 +77,14 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         runs = problem.tried(calls if candidate.terms else problem.called(candidate.entries))
         if runs is None:
             break
-        if not wholes.along and problem.follow(runs.y):
+        about = runs
+        if candidate.terms and turn < LED and not problem.follow(runs.y):
+            # The force of a law along a motion that the simulator leaves is none along its own.
+            about = problem.led(runs)
+        if not wholes.along and problem.follow(about.y):
             # What the numbers take, where no run was before.
-            runs = problem.with_forces(runs)
-        linear, wholes = problem.about(linear, candidate, wholes, runs)
+            about = problem.with_forces(about)
+        linear, wholes = problem.about(linear, candidate, wholes, about)
         data = problem.fit_data(wholes)
         again = refit(linear, candidate, data, noise_model, held=context.held)
         if again is None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.effects.base import AbstractEffect, Place, Term
+from ...mechanics.effects.base import AbstractEffect, AbstractOutputEffect, Place, Term
 from ...mechanics.extended import Plant, input_matrix_of
 from ...mechanics.statespace import StateSpace, sampled
 from ...numerics.stored_programs import ONCE, stored
@@ -28,7 +28,7 @@ class Stage:
 
     `candidate`; `e`, `J`; `plant`; `system`: sampled, outputs that are measured; `force`: mean square of each input;
     `motion`: simulated; `ruled_out`: effects and places that are not looked for; `own`: laws of the user's own model,
-    `slopes`: sensitivities to their numbers.
+    `slopes`: sensitivities to their numbers; `simulator`: what the candidate was simulated with.
     """
 
     candidate: Candidate
@@ -41,6 +41,7 @@ class Stage:
     ruled_out: frozenset = frozenset()
     own: tuple[Term, ...] = ()
     slopes: Float[np.ndarray, "samples outputs numbers"] | None = None
+    simulator: Simulator | None = None
 
     @property
     def taken(self) -> frozenset:
@@ -57,7 +58,8 @@ def stage_of(simulator: Simulator, candidate: Candidate, data: Data, record: int
     q, v = simulator.motion(candidate, data, record)
     system = sampled_plant(plant, data, simulator.setup.dofs)
     force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
-    return Stage(candidate, e, J, plant, system, force, Motion(q, v, y), own=simulator.setup.own, slopes=slopes)
+    motion, own = Motion(q, v, y), simulator.setup.own
+    return Stage(candidate, e, J, plant, system, force, motion, own=own, slopes=slopes, simulator=simulator)
 
 
 @stored(level=ONCE)
@@ -108,7 +110,7 @@ def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Fea
     errors = [effect for effect in catalogue if isinstance(effect, ParameterError)]
     others = tuple(effect for effect in catalogue if not isinstance(effect, ParameterError))
     known = stage.taken | stage.ruled_out
-    made = features(stage.plant, motion, data, others, scales, inputs, outputs, known)
+    made = as_answered(stage, features(stage.plant, motion, data, others, scales, inputs, outputs, known), data)
     shapes, columns, column = [], [], {error.at: k for k, error in enumerate(parameter_errors(stage.own))}
     for effect in errors:
         owner = stage.own[effect.at[0]].place
@@ -121,6 +123,17 @@ def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Fea
         return made
     responses = np.concatenate([made.responses, np.moveaxis(stage.slopes[:, :, columns], 2, 0)])
     return Features((*made.shapes, *shapes), responses)
+
+
+def as_answered(stage: Stage, made: Features, data: Data) -> Features:
+    """Features as what was simulated answers to them: all but those of the sensors go through the plant."""
+    sensed = [isinstance(shape.effect, AbstractOutputEffect) for shape in made.shapes for _ in shape.basis]
+    rows = ~np.array(sensed, bool)
+    if stage.simulator is None or not np.any(rows):
+        return made
+    responses = made.responses.copy()
+    responses[rows] = stage.simulator.answered(stage.plant, responses[rows], data)
+    return Features(made.shapes, responses)
 
 
 _measured: "weakref.WeakKeyDictionary[Stage, tuple[Data, Motion]]" = weakref.WeakKeyDictionary()
