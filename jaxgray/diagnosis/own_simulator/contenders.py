@@ -20,7 +20,7 @@ from ..search.confusable import alike
 from ..search.state import Accepted, SearchState
 from .gains import parts_of
 from .problem import Linear, Problem
-from .settling import Settled, left_by, settle
+from .settling import NEARER, Settled, left_by, settle
 
 MOST = 4
 """Laws that are settled in the simulator in one round."""
@@ -90,7 +90,9 @@ def chosen(
 
     first_of = attempt(best)
     others = [attempt(name) for name in sorted(criteria, key=criteria.__getitem__) if name != best]
-    near = [other for other in others if other.criterion - first_of.criterion < alike(first_of, other)]
+    # Runs of a simulator are compared as finely as they settle.
+    coarse = NEARER * sum(int(d.kept.all(axis=1).sum()) for d in settled[best].data)
+    near = [other for other in others if other.criterion - first_of.criterion < alike(first_of, other) + coarse]
     return dataclasses.replace(accepted, attempt=first_of, rivals=tuple(near[:MOST_RIVALS])), settled[best]
 
 

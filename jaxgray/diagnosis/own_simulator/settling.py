@@ -70,7 +70,7 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     **Raises:** `ComputationError` where the simulator does not run with what was found.
     """
     linear, noise_model, candidate = context.simulator, noise_model_of(context, fit), fit.candidate
-    best, nearest, since, steps, ends = None, np.inf, 0, [], []
+    best, nearest, before, since, steps, ends = None, np.inf, np.inf, 0, [], []
     for turn in range(SETTLING):
         context.progress.unlimited.stage(f"settling in the simulator ({turn + 1})")
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
@@ -107,9 +107,13 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         if best is None or left < nearest:
             best, nearest = Settled(again.candidate, again, linear, wholes, tuple(data), y, still), left
         best = dataclasses.replace(best, still=still)
-        if still or since == PATIENCE or (turn > 0 and left > beyond):
+        # Each turn brings less than the one before.
+        hopeless, before = 2 * left - before > beyond, left
+        if still or since == PATIENCE or hopeless:
             break
         ahead = np.clip(end + _further(steps[-2:], size), *layout.bounds)
+        # Numbers keep their sign.
+        ahead[: layout.entries] = np.maximum(ahead[: layout.entries], 0.0)
         candidate = layout.candidate(ahead, again.candidate)
     if best is None:
         raise ComputationError(
