@@ -79,7 +79,7 @@ def diagnosis_of(
     led = overall(rms_of(after[0]), rms_of(parts_of(problem, followed.y)[0]))
     unexplained = unexplained or led >= MUCH_FARTHER
     warnings = _warnings(problem, settled, start, elsewhere, unexplained)
-    as_given = None if unexplained else with_numbers(problem, settled, start)
+    as_given = None if unexplained else with_numbers(problem, settled, start, baseline)
     numbers = []
     if as_given is not None:
         mended = gain_between(problem, context, as_given, settled.y, as_given, floor)

@@ -164,11 +164,16 @@ def _as_foreseen(problem: Problem, runs: Runs, foreseen: list[np.ndarray], y: tu
     return True
 
 
-def with_numbers(problem: Problem, settled: Settled, entries: np.ndarray) -> tuple[np.ndarray, ...] | None:
+def with_numbers(
+    problem: Problem, settled: Settled, entries: np.ndarray, without: Runs
+) -> tuple[np.ndarray, ...] | None:
     """What the sensors show of the simulator with other numbers beside the laws that were found; None where it does not
-    run with them."""
+    run with them. `without`: runs with these numbers and no law."""
     linear, wholes, candidate = settled.linear, settled.wholes, settled.candidate.with_entries(entries)
-    for _ in range(CLOSED if candidate.terms else 1):
+    if not candidate.terms:
+        linear, wholes = problem.about(linear, candidate, wholes, without)
+        return problem.seen(linear, candidate, wholes, without)
+    for _ in range(CLOSED):
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
         runs = problem.tried(calls)
         if runs is None:
