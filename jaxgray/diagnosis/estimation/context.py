@@ -69,7 +69,7 @@ def noise_model_of(context: SearchContext, fit: Refit) -> NoiseModel:
 def _estimated(context: SearchContext, fit: Refit, data: Data) -> NoiseModel:
     plant = context.simulator.plant(fit.candidate)
     system = sampled_plant(plant, data, context.simulator.setup.dofs)
-    force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
+    force = context.simulator.input_power(data)
     return estimate_noise_model(fit.residual[0], data.kept, system, force)
 
 

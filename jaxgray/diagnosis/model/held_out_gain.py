@@ -108,7 +108,7 @@ def _cut(run: FreeRun, each: int) -> list[np.ndarray]:
 
 def _interval(runs, floor, between: float) -> tuple[float, float]:
     """95 % interval of the gain: of the logarithm of the error that is left, by the jackknife over long pieces, and its
-    difference `between` records in squares."""
+    difference `between` records in squares; towards a loss no further than the worst piece, or the fit, shows."""
     spreads = []
     for wanted in LONG:
         pieces = _Pieces(runs, floor, max(1, -(-wanted // len(runs[0]))))
@@ -117,7 +117,7 @@ def _interval(runs, floor, between: float) -> tuple[float, float]:
         spreads.append(np.sqrt((len(left) - 1) * np.var(left)))
     reach = np.hypot(float(scipy.special.stdtrit(LONG[0] - 1, 0.975)) * max(spreads), between)
     whole, before, baseline = float(pieces.left(everything)), *pieces.overall(everything)[::2]
-    # Where all of the error is in one piece, others do without the law: a gain of none, and no loss.
+    # Where nearly all of the error lies in one piece, the gain without that piece is small, but it is no loss.
     worst = max(float(np.max(pieces.left(everything[:, None]))), whole + between)
     ends = min(whole + reach, worst), whole - reach
     return tuple(float(100 * before / baseline * (1 - np.exp(end))) for end in ends)

@@ -42,12 +42,6 @@ class Layout:
         values = [float(candidate.terms[k].values[j]) for k, j in self.terms]
         return np.concatenate([candidate.entries, *candidate.x0, values])
 
-    @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest value of every parameter; entries and first states have none."""
-        free = np.full(self.first, np.inf)
-        return np.concatenate([-free, self.lower]), np.concatenate([free, self.upper])
-
     def last(self, candidate: Candidate) -> np.ndarray:
         """Which parameters are of the last term."""
         owners = np.array([k for k, _ in self.terms], int)

@@ -205,6 +205,10 @@ class Simulator:
         """A candidate with the laws of the user's own model among its terms."""
         return completed(candidate, self.setup.own)
 
+    def input_power(self, data: Data) -> Float[np.ndarray, " inputs"]:
+        """Mean square of every input of the plant."""
+        return np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
+
     def answered(
         self, plant: Plant, responses: Float[np.ndarray, "columns samples outputs"], data: Data
     ) -> Float[np.ndarray, "columns samples outputs"]:

@@ -124,8 +124,15 @@ def diagnosis_of(
         terms=settled.candidate.terms,
         own_model=True,
         gate=gate_of(state),
-        beside=settled.linear.forces(settled.candidate, settled.data[0])[: records[0].samples],
+        beside=_beside(problem, settled),
     )
+
+
+def _beside(problem: Problem, settled: Settled) -> np.ndarray:
+    """Forces at the coordinates of the first record, beside those of the linear plant that does not vary."""
+    part, wholes = problem.spans[0].fit, settled.wholes
+    forces = settled.linear.forces(settled.candidate, settled.data[0])[: part.stop - part.start]
+    return forces - wholes.beside(0, wholes.motions[0])[part]
 
 
 def joined(states: list[SearchState]) -> SearchState:

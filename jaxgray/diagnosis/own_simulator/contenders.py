@@ -80,7 +80,7 @@ def chosen(
             settled[name] = one
     if not settled:
         raise failure
-    criteria = _criteria(problem, settled)
+    criteria, count = _criteria(problem, settled)
     best = min(criteria, key=criteria.__getitem__)
     first = criteria.get(accepted.attempt.name, criteria[best])
 
@@ -91,8 +91,7 @@ def chosen(
     first_of = attempt(best)
     others = [attempt(name) for name in sorted(criteria, key=criteria.__getitem__) if name != best]
     # Runs of a simulator are compared as finely as they settle.
-    coarse = NEARER * sum(int(d.kept.all(axis=1).sum()) for d in settled[best].data)
-    near = [other for other in others if other.criterion - first_of.criterion < alike(first_of, other) + coarse]
+    near = [other for other in others if other.criterion - first_of.criterion < alike(first_of, other) + NEARER * count]
     return dataclasses.replace(accepted, attempt=first_of, rivals=tuple(near[:MOST_RIVALS])), settled[best]
 
 
@@ -128,14 +127,15 @@ def _name(fit: Refit) -> tuple[str, str]:
     return last.effect.id, last.place.name
 
 
-def _criteria(problem: Problem, settled: dict[tuple[str, str], Settled]) -> dict[tuple[str, str], float]:
-    """N ln(cost) + k ln N of runs of the simulator, with as many samples as are independent in the best."""
+def _criteria(problem: Problem, settled: dict[tuple[str, str], Settled]) -> tuple[dict[tuple[str, str], float], float]:
+    """N ln(cost) + k ln N of runs of the simulator, with as many samples as are independent in the best, and N."""
     runs = {name: parts_of(problem, one.y)[0] for name, one in settled.items()}
     left = {name: float(np.sum(np.log(rms_of(made) ** 2))) for name, made in runs.items()}
     best = runs[min(left, key=left.__getitem__)]
     share = independent_share(max((run.e[run.kept.all(axis=1)] for run in best), key=len))
     count = share * sum(int(run.kept.all(axis=1).sum()) for run in best)
-    return {
+    criteria = {
         name: count * left[name] + len(estimated(one.candidate.terms[-1])) * float(np.log(count))
         for name, one in settled.items()
     }
+    return criteria, count

@@ -202,7 +202,8 @@ class Varying:
 
     def beside(self, large: np.ndarray, other: np.ndarray, h: float, hold: str) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness and damping at every coordinate, beside M, D, K, held as inputs are, on the way from one large
-        motion to another (NaN where it is not known): what is met on the mean leads from the one to the other."""
+        motion to another (NaN where it is not known): a mean stiffness leads from the one to the other; damping is that
+        along the first."""
         dofs = large.shape[1]
         stiffness, damping = np.zeros_like(large), np.zeros_like(large)
         speed, other = np.gradient(large, h, axis=0), np.where(np.isfinite(other), other, large)
@@ -214,7 +215,10 @@ class Varying:
                 pieces = over(_pieces(q, self.knots[i])) - self.mean[i]
                 stiffness[:, i] += pieces @ self.table[i, 3 * dofs : -1] / WAY
             most = STICKS * self.table[i, i] / h
-            damping[:, i] = np.minimum(self.table[i, -1] * self._near(speed[:, i], i), most)
+            near = self._near(speed[:, i], i)
+            if hold == "linear":
+                near = np.concatenate([near[:1], (near[:-1] + near[1:]) / 2])
+            damping[:, i] = np.minimum(self.table[i, -1] * near, most)
         return stiffness, damping
 
     @property

@@ -126,6 +126,11 @@ class NumbersSimulator(free_run.Simulator):
 
     def answered(self, plant: Plant, responses: Float[np.ndarray, "columns samples outputs"], data: Data):
         stiffness, damping = self._over_time(data)
+        if len(plant.mass) > self.setup.dofs:
+            # Of a coordinate that was added nothing is known but its mean.
+            return responses
+        if data.hold == "linear":
+            stiffness, damping = over_samples(stiffness), over_samples(damping)
         moved = np.moveaxis(responses, 0, 2)
         slope = np.gradient(moved, data.sampling_time, axis=0)
         # What the plant that does not vary leaves out.
@@ -134,6 +139,14 @@ class NumbersSimulator(free_run.Simulator):
         sampled = sampled_over_time(plant.mass, D, K, data.sampling_time)
         return responses + np.moveaxis(moved_from_rest(*sampled, forces), 2, 0)
 
+    def input_power(self, data: Data) -> Float[np.ndarray, " inputs"]:
+        """Mean square of every input; series of the plant are none."""
+        u, dofs = np.array(data.u[: data.samples]), self.setup.dofs
+        first = u.shape[1] - (len(self.setup.here) + 3) * dofs
+        u[:, first + 2 * dofs : first + 3 * dofs] += u[:, first : first + dofs] + u[:, first + dofs : first + 2 * dofs]
+        u[:, first : first + 2 * dofs] = 0.0
+        return np.maximum(np.mean(u**2, axis=0), 1e-300)
+
     def _over_time(self, data: Data) -> list[np.ndarray]:
         """Stiffness and damping beside those of the plant."""
         dofs = self.setup.dofs
@@ -141,7 +154,7 @@ class NumbersSimulator(free_run.Simulator):
         return np.split(data.u[:, first : first + 2 * dofs], 2, axis=1)
 
     def forces(self, candidate: Candidate, data: Data) -> Float[np.ndarray, "samples dofs"]:
-        """Forces at the coordinates that the numbers of a candidate leave."""
+        """Forces at the coordinates of the plant as it varies, which the numbers of a candidate leave."""
         dofs, count = self.setup.dofs, len(self.setup.here)
         first = data.u.shape[1] - (count + 1) * dofs
         forces = self._moved(candidate.entries, data).u[:, first : first + dofs]

@@ -1,4 +1,4 @@
-"""Records and a simulator together: runs of all records, slopes by the numbers, and data for the linear plant."""
+"""Records and a simulator together: runs of all records, forces by the numbers, and data for the linear plant."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -11,6 +11,8 @@ from ...mechanics.drives import Force
 from ...mechanics.effects.base import AbstractForceEffect, AbstractOutputEffect, Term
 from ...mechanics.extended import changed_input, held_input, sensed
 from ...mechanics.model import MechanicalModel
+from ...numerics.bounded import bounded
+from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
 from ..model.candidate import Candidate, Data
 from ..model.free_run import FreeRun
@@ -30,6 +32,8 @@ IDLE = 1e-9
 
 EXACT = 3
 """Rounds in which the forces of a run are made exact for the steps of the linear plant."""
+
+RUNS_AWAY = "the linear plant that stands for it along its run runs away"
 
 RUN_AWAY = 1e3
 """Motion relative to that of the record beyond which a run counts as none."""
@@ -177,6 +181,8 @@ class Problem:
                 # What its steps make otherwise.
                 pushed = Data.of(_pushed(record, span.record.inputs, changed + call.w + rest))
                 error = y - linear.motion(there, pushed)[0][: len(y)]
+                if not bounded(error):
+                    raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=RUNS_AWAY)
                 rest = rest + self.plant.forces_of(error, span.record)[0] + forces_beside(*varying, error, record)
             records.append(_pushed(record, span.record.inputs, rest))
             states.append(x0)
@@ -282,16 +288,6 @@ class Linear:
         """The same as far as runs are near the records: a linear plant says nothing of what is far from them."""
         records = tuple(until(record, near_until(record, one)) for record, one in zip(self.records, y))
         return dataclasses.replace(self, records=records, data=tuple(map(Data.of, records)))
-
-    def with_numbers(self, by_number: tuple[np.ndarray, ...]) -> "Linear":
-        """The same, where the numbers take other forces."""
-        records = []
-        for record, forces in zip(self.records, by_number):
-            columns = np.moveaxis(forces, 2, 1).reshape(record.samples, -1)
-            u = np.concatenate([record.u[:, : record.inputs - columns.shape[1]], columns], axis=1)
-            records.append(dataclasses.replace(record, u=u))
-        data = tuple(map(Data.of, records))
-        return dataclasses.replace(self, records=tuple(records), data=data, by_number=by_number)
 
     def extended(self, candidate: Candidate) -> Candidate:
         """A candidate with first states for all records, those of the fit its own."""

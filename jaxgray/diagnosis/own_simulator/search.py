@@ -91,7 +91,7 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     fitted = _numbers_alone(problem, context, Candidate(start, wholes.states[: len(context.data)]), wholes)
     if fitted is not None and is_white(parts_of(problem, fitted.y)[0]):
         # The numbers explain it all: what they were is nothing that a law has to stand for.
-        linear, wholes, begin = fitted.linear, fitted.wholes.with_numbers(about.by_number), fitted.candidate
+        linear, wholes, begin = fitted.linear, fitted.wholes, fitted.candidate
     states: list[SearchState] = []
     settled: list[Settled] = []
     while len(settled) <= max_effects:

@@ -44,7 +44,7 @@ which the force of a law is that along the simulator's own motion."""
 
 @dataclass(frozen=True)
 class Settled:
-    """Laws and numbers in the simulator: `candidate`, its `fit` in the `linear` plant about the last runs, records
+    """Laws and numbers in the simulator: `candidate`, its `fit` in the `linear` plant about the nearest runs, records
     for it (`wholes`, and of the fit `data`), what the sensors show of the runs (`y`), and whether laws and
     numbers stood still."""
 
@@ -65,12 +65,12 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     the simulator's own.
 
     **Arguments:** `problem`; `context` of a search in the linear plant, a `fit` there, and its whole records; `beyond`:
-    what runs may leave, as `left_by` has it, for another one.
+    what the next runs may be expected to leave, as `left_by` has it, for another one.
 
     **Raises:** `ComputationError` where the simulator does not run with what was found.
     """
     linear, noise_model, candidate = context.simulator, noise_model_of(context, fit), fit.candidate
-    best, nearest, before, since, steps, ends = None, np.inf, np.inf, 0, [], []
+    best, first, nearest, mark, before, since, steps, ends = None, (True, np.inf), np.inf, np.inf, np.inf, 0, [], []
     for turn in range(SETTLING):
         context.progress.unlimited.stage(f"settling in the simulator ({turn + 1})")
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
@@ -98,22 +98,22 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         noise_model = noise_model_of(dataclasses.replace(context, simulator=linear, data=data), again)
         y = problem.seen(linear, candidate, wholes, runs)
         left = left_by(problem, y)
-        since = 0 if left < nearest - NEARER else since + 1
+        since, mark = (0, left) if left < mark - NEARER else (since + 1, mark)
         # A simulator in steps of its own answers in steps, and parameters wander where no run is any better.
         flat = since >= FLAT and left < nearest + NEARER
-        still = turn > 0 and (largest < STILL or flat)
-        still = still and (not candidate.terms or _as_foreseen(problem, runs, foreseen, y))
+        closed = not candidate.terms or _as_foreseen(problem, runs, foreseen, y)
+        still = closed and turn > 0 and (largest < STILL or flat) and left < nearest + NEARER
         ends.append((left, end))
-        if best is None or left < nearest:
-            best, nearest = Settled(again.candidate, again, linear, wholes, tuple(data), y, still), left
-        best = dataclasses.replace(best, still=still)
+        if (not closed, left) < first:
+            best, first = Settled(again.candidate, again, linear, wholes, tuple(data), y, still), (not closed, left)
+        best, nearest = dataclasses.replace(best, still=still), min(left, nearest)
         # Each turn brings less than the one before.
         hopeless, before = 2 * left - before > beyond, left
         if still or since == PATIENCE or hopeless:
             break
-        ahead = np.clip(end + _further(steps[-2:], size), *layout.bounds)
+        ahead = layout.moved(end, layout.limited(_further(steps[-2:], size), end), again.candidate)
         # Numbers keep their sign.
-        ahead[: layout.entries] = np.maximum(ahead[: layout.entries], 0.0)
+        ahead[: layout.entries] = np.maximum(ahead[: layout.entries], end[: layout.entries] / 2)
         candidate = layout.candidate(ahead, again.candidate)
     if best is None:
         raise ComputationError(

@@ -57,7 +57,7 @@ def stage_of(simulator: Simulator, candidate: Candidate, data: Data, record: int
     plant = simulator.plant(candidate)
     q, v = simulator.motion(candidate, data, record)
     system = sampled_plant(plant, data, simulator.setup.dofs)
-    force = np.maximum(np.mean(data.u[: data.samples] ** 2, axis=0), 1e-300)
+    force = simulator.input_power(data)
     motion, own = Motion(q, v, y), simulator.setup.own
     return Stage(candidate, e, J, plant, system, force, motion, own=own, slopes=slopes, simulator=simulator)
 
@@ -129,7 +129,7 @@ def as_answered(stage: Stage, made: Features, data: Data) -> Features:
     """Features as what was simulated answers to them: all but those of the sensors go through the plant."""
     sensed = [isinstance(shape.effect, AbstractOutputEffect) for shape in made.shapes for _ in shape.basis]
     rows = ~np.array(sensed, bool)
-    if stage.simulator is None or not np.any(rows):
+    if stage.simulator is None or type(stage.simulator).answered is Simulator.answered or not np.any(rows):
         return made
     responses = made.responses.copy()
     responses[rows] = stage.simulator.answered(stage.plant, responses[rows], data)
