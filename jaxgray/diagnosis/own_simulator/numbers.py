@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from ...mechanics.effects.base import AbstractForceEffect, Place, Term
 from ...mechanics.step_rows import Plant
+from ...numerics.bounded import bounded
 from ..model import simulator as free_run
 from ..model.candidate import Candidate, Data, Setup, of_record
 from .linearized import moved_from_rest, over_samples, sampled_over_time
@@ -136,8 +137,11 @@ class NumbersSimulator(free_run.Simulator):
         # What the plant that does not vary leaves out.
         forces = -stiffness[:, :, None] * over_samples(moved) - damping[:, :, None] * over_samples(slope)
         D, K = (X + Y[:, :, None] * np.eye(len(X)) for X, Y in ((plant.damping, damping), (plant.stiffness, stiffness)))
-        sampled = sampled_over_time(plant.mass, D, K, data.sampling_time)
-        return responses + np.moveaxis(moved_from_rest(*sampled, forces), 2, 0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            sampled = sampled_over_time(plant.mass, D, K, data.sampling_time)
+            made = responses + np.moveaxis(moved_from_rest(*sampled, forces), 2, 0)
+        # A plant that runs away says nothing of what it answers.
+        return made if bounded(made) else responses
 
     def input_power(self, data: Data) -> Float[np.ndarray, " inputs"]:
         """Mean square of every input; series of the plant are none."""

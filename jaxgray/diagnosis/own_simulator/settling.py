@@ -84,7 +84,10 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         if not wholes.along and problem.follow(about.y):
             # What the numbers take, where no run was before.
             about = problem.with_forces(about)
-        linear, wholes = problem.about(linear, candidate, wholes, about)
+        try:
+            linear, wholes = problem.about(linear, candidate, wholes, about)
+        except ComputationError:
+            break
         data = problem.fit_data(wholes)
         again = refit(linear, candidate, data, noise_model, held=context.held)
         if again is None:
@@ -98,6 +101,8 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         noise_model = noise_model_of(dataclasses.replace(context, simulator=linear, data=data), again)
         y = problem.seen(linear, candidate, wholes, runs)
         left = left_by(problem, y)
+        if not np.isfinite(left):
+            break
         since, mark = (0, left) if left < mark - NEARER else (since + 1, mark)
         # A simulator in steps of its own answers in steps, and parameters wander where no run is any better.
         flat = since >= FLAT and left < nearest + NEARER
@@ -170,16 +175,16 @@ def with_numbers(
     """What the sensors show of the simulator with other numbers beside the laws that were found; None where it does not
     run with them. `without`: runs with these numbers and no law."""
     linear, wholes, candidate = settled.linear, settled.wholes, settled.candidate.with_entries(entries)
-    if not candidate.terms:
-        linear, wholes = problem.about(linear, candidate, wholes, without)
-        return problem.seen(linear, candidate, wholes, without)
     for _ in range(CLOSED):
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
-        runs = problem.tried(calls)
+        runs = problem.tried(calls) if candidate.terms else without
         if runs is None:
             return None
-        linear, wholes = problem.about(linear, candidate, wholes, runs)
-        if _as_foreseen(problem, runs, foreseen, problem.seen(linear, candidate, wholes, runs)):
+        try:
+            linear, wholes = problem.about(linear, candidate, wholes, runs)
+        except ComputationError:
+            return None
+        if not candidate.terms or _as_foreseen(problem, runs, foreseen, problem.seen(linear, candidate, wholes, runs)):
             break
     return problem.seen(linear, candidate, wholes, runs)
 
