@@ -61,6 +61,10 @@ over time is looked for in its windows, and that such a change may leave there (
 CLASS_DELTA_BIC = 6.0
 """Difference of BIC within which two refits count as one class: short of "strong" (Kass & Raftery 1995)."""
 
+EQUAL_DELTA_BIC = 2.0
+"""Difference of BIC within which two laws explain as much: "not worth more than a bare mention" (Kass & Raftery
+1995)."""
+
 MAX_CRITERION_GAP = 100.0
 """Distance in criterion from the best first refit beyond which a candidate is not refined further; its refit is given
 up at twice this (benchmark)."""

@@ -49,10 +49,16 @@ def row_of(file: str, store: Store, key: str | None, unread: str | None, naming:
     row |= {"file": file, "key": key, "machine": machine, "when": when, "when_number": number, "outcome": "failed"}
     row |= {"seconds": result["run"].get("seconds")} | columns
     if failure is not None:
-        return row | {"failure_kind": failure["kind"], "failure": failure["reason"]}
+        return row | {"failure_kind": failure["kind"], "failure": _of(file, result, failure["reason"])}
     row["page"] = f"pages/{key}.html" if result["page"] else None
     row["warnings"] = "\n".join(document["warnings"])
     return row | (_diagnosed(document) if "verdict" in document else _identified(document))
+
+
+def _of(file: str, result: dict, reason: str) -> str:
+    """A reason that names this file: the result of files with the same bytes was made of one of them."""
+    made_of = result.get("file") or file
+    return reason.replace(str(made_of), str(file)).replace(Path(made_of).name, Path(file).name)
 
 
 def _identified(document: dict) -> dict:

@@ -14,15 +14,8 @@ from jaxtyping import Float
 
 from ..diagnosis.result import Diagnosis
 from ..records import Record
+from . import mjcf
 from .inputs import held, named
-
-JOINT = {
-    "damping": "dof_damping",
-    "frictionloss": "dof_frictionloss",
-    "armature": "dof_armature",
-    "stiffness": "jnt_stiffness",
-}
-"""Attributes of a joint that are numbers, and the arrays of a compiled model that hold them."""
 
 TIME = 1e-6
 """Part of a step by which a sampling time may miss a whole number of them."""
@@ -34,8 +27,9 @@ class MujocoSimulator:
     Every degree of freedom must be measured: a hinge or slide for each output, by name; an actuator for each input.
 
     **Arguments:** `path` of the MJCF file; `record`, whose names of inputs and outputs are those of actuators and
-    joints; `numbers`: names such as "elbow.damping", "forearm.mass" or "motor.gear", with a value each where it is a
-    mapping; default what the joints of the outputs have of damping, frictionloss, stiffness and armature.
+    joints; `numbers`: names such as "elbow.damping", "forearm.mass", "motor.gear" or "flange.payload" (a point mass
+    [kg] at a site), with a value each where it is a mapping; default damping and frictionloss of the joints of the
+    outputs, what they have of stiffness and armature, and a payload of 0 at the sites of bodies that carry no other.
 
     **Raises:** `ValueError` for a file that MuJoCo does not read, or that does not fit the record; `ImportError` with
     what to install where MuJoCo is missing.
@@ -50,9 +44,8 @@ class MujocoSimulator:
         self._check()
         model = self.model
         if numbers is None:
-            numbers = [f"{joint}.{name}" for joint in self.outputs for name in JOINT]
-            numbers = [name for name in numbers if self._number(model, name) != 0.0]
-        given = {name: self._number(model, name) for name in numbers}
+            numbers = mjcf.usual_numbers(model, self.outputs)
+        given = {name: mjcf.number(model, name) for name in numbers}
         if isinstance(numbers, Mapping):
             given |= {name: float(value) for name, value in numbers.items()}
         self.numbers: dict[str, float] = given
@@ -65,7 +58,7 @@ class MujocoSimulator:
     def model(self):
         """The compiled model as it was given."""
         if "_model" not in vars(self):
-            mujoco = _mujoco()
+            mujoco = mjcf.library()
             try:
                 self._model = mujoco.MjModel.from_xml_path(self.path)
             except (ValueError, FileNotFoundError) as error:
@@ -84,7 +77,7 @@ class MujocoSimulator:
         **Arguments:** `u`: controls of the actuators; `w`: torques [N m] or forces [N] at the joints beside them, both
         held as the record's inputs are; `numbers` by name, in units of MJCF.
         """
-        mujoco = _mujoco()
+        mujoco = mjcf.library()
         rollout = importlib.import_module("mujoco.rollout")
         model = self.changed(numbers)
         data = mujoco.MjData(model)
@@ -111,33 +104,32 @@ class MujocoSimulator:
 
     def changed(self, numbers: Mapping[str, float]):
         """A compiled model with other numbers."""
-        mujoco = _mujoco()
+        mujoco = mjcf.library()
         model = copy.copy(self.model)
         for name, value in numbers.items():
-            self._set(model, name, value)
+            mjcf.set_number(model, name, value)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
     def unwritten(self, found: Diagnosis) -> tuple[str, ...]:
         """What a diagnosis of this simulator found that MJCF has no attribute for."""
-        laws = [f for f in found.findings if f.stage == "model" and f.effect not in ("parameter_error", "unexplained")]
-        return tuple(f"{f.effect} at {f.location}" for f in laws if not self._is_friction(f))
+        spec = mjcf.library().MjSpec.from_file(self.path)
+        laws = [f for f in _laws(found) if not mjcf.writes(spec, f.effect, f.location)]
+        return tuple(f"{f.effect} at {f.location}" for f in laws)
 
     def mended(self, found: Diagnosis) -> str:
-        """The model as MJCF, with the numbers that a diagnosis of this simulator found off, and dry friction at its
-        joints."""
-        spec = _mujoco().MjSpec.from_file(self.path)
+        """The model as MJCF, with the numbers that a diagnosis of this simulator found off, and the laws that MJCF has
+        attributes for: dry friction, quadratic and cubic springs and quadratic drag of joints, limits and delays of
+        motors."""
+        spec = mjcf.library().MjSpec.from_file(self.path)
         for shift in found.shifts:
             if any(f.effect == "parameter_error" and f.location == shift.name for f in found.findings):
-                _write(spec, shift.name, shift.after)
-        for finding in filter(self._is_friction, found.findings):
-            joint = spec.joint(finding.location)
-            joint.frictionloss = joint.frictionloss + finding.parameters["Fc"].value
+                mjcf.write_number(spec, shift.name, shift.after)
+        for f in _laws(found):
+            if mjcf.writes(spec, f.effect, f.location):
+                mjcf.write_law(spec, f.effect, f.location, {name: one.value for name, one in f.parameters.items()})
         spec.compile()
         return spec.to_xml()
-
-    def _is_friction(self, finding) -> bool:
-        return finding.effect == "coulomb_friction" and finding.location in self.outputs
 
     def _check(self) -> None:
         model = self.model
@@ -160,44 +152,13 @@ class MujocoSimulator:
 
     def _joints(self, model) -> tuple[np.ndarray, np.ndarray]:
         """Positions in qpos and in qvel of the joints of the outputs."""
-        ids = [_id(model, "JOINT", name, f"{self.path}: outputs are joints by name") for name in self.outputs]
+        ids = [mjcf.found(model, "JOINT", name, f"{self.path}: outputs are joints by name") for name in self.outputs]
         return np.array(model.jnt_qposadr)[ids], np.array(model.jnt_dofadr)[ids]
 
     def _actuators(self, model) -> np.ndarray:
         return np.array(
-            [_id(model, "ACTUATOR", name, f"{self.path}: inputs are actuators by name") for name in self.inputs]
+            [mjcf.found(model, "ACTUATOR", name, f"{self.path}: inputs are actuators by name") for name in self.inputs]
         )
-
-    def _place(self, model, name: str):
-        """The array that holds a number, and where."""
-        element, _, attribute = name.rpartition(".")
-        where = f"numbers: {name!r}"
-        if attribute in JOINT:
-            joint = _id(model, "JOINT", element, where)
-            array = getattr(model, JOINT[attribute])
-            return array, joint if attribute == "stiffness" else int(model.jnt_dofadr[joint])
-        if attribute == "mass":
-            return model.body_mass, _id(model, "BODY", element, where)
-        if attribute == "gear":
-            return model.actuator_gear, (_id(model, "ACTUATOR", element, where), 0)
-        raise ValueError(f"{where} is no number; give JOINT.{'|'.join(JOINT)}, BODY.mass or ACTUATOR.gear.")
-
-    def _number(self, model, name: str) -> float:
-        array, at = self._place(model, name)
-        return float(array[at])
-
-    def _set(self, model, name: str, value: float) -> None:
-        array, at = self._place(model, name)
-        if name.endswith(".mass"):
-            model.body_inertia[at] *= value / array[at]
-        array[at] = value
-
-
-def _mujoco():
-    try:
-        return importlib.import_module("mujoco")
-    except ImportError:
-        raise ImportError("models of MuJoCo need it: pip install 'jaxgray[mujoco]'") from None
 
 
 @contextlib.contextmanager
@@ -212,39 +173,6 @@ def _quiet(mujoco):
         mujoco.set_mju_user_warning(before)
 
 
-def _id(model, kind: str, name: str, where: str) -> int:
-    mujoco = _mujoco()
-    kind = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
-    at = mujoco.mj_name2id(model, kind, name)
-    if at < 0:
-        count = {mujoco.mjtObj.mjOBJ_JOINT: model.njnt, mujoco.mjtObj.mjOBJ_BODY: model.nbody}.get(kind, model.nu)
-        names = [mujoco.mj_id2name(model, kind, k) for k in range(count)]
-        raise ValueError(f"{where}: there is no {name!r}, but {named([one for one in names if one])}.")
-    return at
-
-
-def _write(spec, name: str, value: float) -> None:
-    """Set a number in a model that is written."""
-    element, _, attribute = name.rpartition(".")
-    if attribute == "gear":
-        gear = np.array(spec.actuator(element).gear)
-        gear[0] = value
-        spec.actuator(element).gear = gear
-        return
-    if attribute == "mass":
-        body = spec.body(element)
-        factor = value / spec.compile().body(element).mass[0]
-        for geom in body.geoms:
-            geom.mass, geom.density = geom.mass * factor, geom.density * factor
-        body.mass, body.fullinertia, body.inertia = (
-            np.asarray(x) * factor for x in (body.mass, body.fullinertia, body.inertia)
-        )
-        return
-    joint = spec.joint(element)
-    old = np.array(getattr(joint, attribute), dtype=float)
-    if old.ndim:
-        # The first of a polynomial.
-        old.flat[0] = value
-        setattr(joint, attribute, old)
-    else:
-        setattr(joint, attribute, value)
+def _laws(found: Diagnosis):
+    """The laws among the findings of a diagnosis."""
+    return [f for f in found.findings if f.stage == "model" and f.effect not in ("parameter_error", "unexplained")]

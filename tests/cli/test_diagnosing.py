@@ -336,14 +336,14 @@ def test_a_model_of_mujoco_is_judged_and_written_with_what_was_found(asked, caps
     )
     number = Finding("parameter_error", "y1.damping", "named", "model", (), {}, None, None)
     law = Finding("coulomb_friction", "y2", "named", "model", (), {"Fc": Estimate(0.03, 0.01, "N m")}, None, None)
-    delay = Finding("input_delay", "u1", "named", "model", (), {}, None, None)
+    stop = Finding("end_stop", "y1", "named", "model", (), {}, None, None)
     shift = ParameterShift("y1.damping", 0.1, 0.15, 0.01)
-    asked.answer = diagnosis(own_model=True, findings=(number, law, delay), shifts=(shift,))
+    asked.answer = diagnosis(own_model=True, findings=(number, law, stop), shifts=(shift,))
     given = ["diagnose", records[0], *CHANNELS, "--simulator", program]
     run(*given, "--parameters", "y1.damping,y2.damping=0.25", "--mended", out)
     assert asked.options["parameters"] == {"y1.damping": 0.1, "y2.damping": 0.25}
     assert asked.options["simulator"].outputs == ("y1", "y2")
-    assert "lacks input_delay at u1: MJCF has no attribute" in " ".join(capsys.readouterr().err.split())
+    assert "lacks end_stop at y1: MJCF has no attribute" in " ".join(capsys.readouterr().err.split())
     mended = jaxgray.MujocoSimulator(out, asked.record, ["y1.damping", "y2.damping", "y2.frictionloss"])
     assert mended.numbers == {"y1.damping": 0.15, "y2.damping": 0.2, "y2.frictionloss": 0.03}
     fails(capsys, [*given, "--parameters", "y1.colour"], "'y1.colour' is no number")

@@ -9,10 +9,10 @@ import pytest
 import jaxgray
 from jaxgray.diagnosis.acceptance import AbstractEvidence, bound_of, negligible, unproven, unsound
 from jaxgray.diagnosis.findings import Gain, Reason
-from jaxgray.diagnosis.search.confusable import look_alikes, needless, resemble
+from jaxgray.diagnosis.search.confusable import commonest_first, look_alikes, needless, resemble
 from jaxgray.diagnosis.search.state import is_local
 from jaxgray.mechanics.effects.base import Place, Term
-from jaxgray.mechanics.effects.friction import AsymmetricFriction, CoulombFriction, StribeckFriction
+from jaxgray.mechanics.effects.friction import AsymmetricFriction, CoulombFriction, LoadFriction, StribeckFriction
 from jaxgray.mechanics.effects.stiffness import CubicStiffness, EndStop
 
 
@@ -148,3 +148,16 @@ def attempt(law, values, errors, criterion):
 def test_a_wider_law_that_says_nothing_more_is_needless(wide, same):
     simple = attempt(CoulombFriction(), [2.0, 1e-3], [0.05], 90.0)
     assert needless(wide, simple) == same
+
+
+@pytest.mark.parametrize(("behind", "first"), [(1.0, "coulomb_friction"), (3.0, "load_friction")])
+def test_of_laws_that_explain_as_much_the_commonest_stands_first(behind, first):
+    ranked = [
+        attempt(LoadFriction(), [2.0, 1e-3], [0.05], 90.0),
+        attempt(CubicStiffness(), [2.0], [0.05], 90.5),
+        attempt(CoulombFriction(), [2.0, 1e-3], [0.05], 90.0 + behind),
+    ]
+    found = commonest_first(ranked, jaxgray.CATALOGUE)
+    assert found[0].name[0] == first and len(found) == 3
+    assert commonest_first(ranked, (CubicStiffness(),)) == ranked
+    assert commonest_first([], jaxgray.CATALOGUE) == []

@@ -73,7 +73,8 @@ def test_a_run_is_that_of_the_model(arm, hold):
 def test_numbers_have_names(arm):
     path, record = arm
     known = {"shoulder.damping": 0.4, "shoulder.armature": 0.02, "elbow.damping": 0.2, "elbow.armature": 0.01}
-    assert MujocoSimulator(path, record).numbers == known | {"elbow.stiffness": 0.5}
+    added = {"shoulder.frictionloss": 0.0, "elbow.frictionloss": 0.0}
+    assert MujocoSimulator(path, record).numbers == known | added | {"elbow.stiffness": 0.5}
     some = MujocoSimulator(path, record, ["lower.mass", "m2.gear", "elbow.frictionloss"])
     assert some.numbers == {"lower.mass": 0.6, "m2.gear": 2.0, "elbow.frictionloss": 0.0}
     assert MujocoSimulator(path, record, {"lower.mass": 0.5}).numbers == {"lower.mass": 0.5}
@@ -83,6 +84,30 @@ def test_numbers_have_names(arm):
     heavier = some.changed({"lower.mass": 1.2})
     assert heavier.body("lower").inertia[0] == pytest.approx(2 * some.model.body("lower").inertia[0])
     assert some.model.body("lower").mass[0] == 0.6, "the model that was given stays as it is"
+
+
+def test_a_payload_is_a_point_mass_at_a_site(arm, tmp_path):
+    path, record = arm
+    text = path.read_text()
+    site = '<site name="flange" pos="0.04 0.01 -0.25"/></body></body>'
+    path.write_text(text.replace("</body></body>", site))
+    loaded = tmp_path / "loaded.xml"
+    point = '<geom type="sphere" size="0.001" pos="0.04 0.01 -0.25" mass="0.15" contype="0" conaffinity="0"/>'
+    loaded.write_text(text.replace("</body></body>", f"{point}</body></body>"))
+    simulator, none = MujocoSimulator(path, record), 0 * record.u
+    assert simulator.numbers["flange.payload"] == 0.0
+    expected = MujocoSimulator(loaded, record)(record.u, none, {})
+    made = simulator(record.u, none, {"flange.payload": 0.15})
+    assert np.max(np.abs(simulator(record.u, none, {}) - made)) > 0.01
+    np.testing.assert_allclose(made, expected, atol=1e-5)
+    found = SimpleNamespace(
+        shifts=[SimpleNamespace(name="flange.payload", after=0.15)],
+        findings=[
+            SimpleNamespace(effect="parameter_error", location="flange.payload", stage="model", parameters={}),
+        ],
+    )
+    path.write_text(simulator.mended(found))
+    np.testing.assert_allclose(MujocoSimulator(path, record)(record.u, none, {}), expected, atol=1e-9)
 
 
 def test_what_was_found_is_written_back(arm, tmp_path):
@@ -97,10 +122,10 @@ def test_what_was_found_is_written_back(arm, tmp_path):
     found = SimpleNamespace(
         shifts=[SimpleNamespace(name=name, after=value) for name, value in wanted.items()],
         findings=[finding("parameter_error", name) for name in wanted]
-        + [finding("coulomb_friction", "elbow", Fc=0.03), finding("input_delay", "m1", tau=0.01)],
+        + [finding("coulomb_friction", "elbow", Fc=0.03), finding("end_stop", "elbow", k=9.0, gap=0.2)],
     )
     out = tmp_path / "mended.xml"
-    assert simulator.unwritten(found) == ("input_delay at m1",)
+    assert simulator.unwritten(found) == ("end_stop at elbow",)
     out.write_text(simulator.mended(found))
     mended = MujocoSimulator(out, record)
     reference = MujocoSimulator(path, record, [*wanted, "elbow.frictionloss"])
@@ -113,6 +138,62 @@ def test_what_was_found_is_written_back(arm, tmp_path):
     np.testing.assert_allclose(
         MujocoSimulator(out, record)(record.u, 0 * record.u, {}), simulator(record.u, 0 * record.u, {}), atol=1e-9
     )
+
+
+@pytest.mark.parametrize(
+    ("effect", "location", "parameters"),
+    [
+        ("cubic_stiffness", "elbow", {"k3": 0.8}),
+        ("quadratic_stiffness", "shoulder", {"k2": -0.9}),
+        ("quadratic_drag", "elbow", {"c2": 0.1}),
+        ("input_saturation", "m1", {"limit": 0.7}),
+        ("input_delay", "m2", {"tau": 0.006}),
+    ],
+)
+def test_laws_are_written_back(arm, tmp_path, effect, location, parameters):
+    path, record = arm
+    simulator, out = MujocoSimulator(path, record), tmp_path / "mended.xml"
+    values = {name: SimpleNamespace(value=value) for name, value in parameters.items()}
+    law = SimpleNamespace(effect=effect, location=location, stage="model", parameters=values)
+    found = SimpleNamespace(shifts=[], findings=[law])
+    assert simulator.unwritten(found) == ()
+    out.write_text(simulator.mended(found))
+    made = MujocoSimulator(out, record)(record.u, 0 * record.u, {})
+    plain = simulator(record.u, 0 * record.u, {})
+    assert np.max(np.abs(made - plain)) > 1e-3
+    (size,) = parameters.values()
+    # The same from what is given to every step of the model as it was.
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, dof = mujoco.MjData(model), {"shoulder": 0, "elbow": 1}.get(location)
+    data.qpos[:] = record.y[0]
+    fine = np.repeat(record.u[:, ::-1], 5, axis=0)
+    if effect == "input_saturation":
+        fine[:, 1] = np.clip(fine[:, 1], -size, size)
+    if effect == "input_delay":
+        fine[:, 0] = np.concatenate([np.zeros(3), fine[:-3, 0]])
+    expected = []
+    for k, now in enumerate(fine):
+        if k % 5 == 0:
+            expected.append(data.qpos.copy())
+        data.ctrl[:] = now
+        if dof is not None:
+            q, v = data.qpos[dof], data.qvel[dof]
+            force = {"cubic_stiffness": q**3, "quadratic_stiffness": q**2, "quadratic_drag": v * abs(v)}[effect]
+            data.qfrc_applied[dof] = -size * force
+        mujoco.mj_step(model, data)
+    # An implicit integrator takes what depends on velocity at the end of a step.
+    np.testing.assert_allclose(made, expected, atol=0.02 * np.std(expected) if effect == "quadratic_drag" else 1e-9)
+
+
+def test_a_law_that_a_model_has_no_room_for_is_not_written(arm):
+    path, record = arm
+    path.write_text(path.read_text().replace('name="m1"', 'name="m1" ctrllimited="true" ctrlrange="-1 1"'))
+    simulator = MujocoSimulator(path, record)
+    laws = [("input_saturation", "m1"), ("cubic_stiffness", "shoulder-elbow"), ("stribeck_friction", "elbow")]
+    findings = [SimpleNamespace(effect=e, location=p, stage="model", parameters={}) for e, p in laws]
+    found = SimpleNamespace(shifts=[], findings=findings)
+    assert simulator.unwritten(found) == tuple(f"{e} at {p}" for e, p in laws)
+    assert "stribeck" not in simulator.mended(found)
 
 
 def test_what_does_not_fit_is_said(arm, tmp_path):

@@ -37,6 +37,23 @@ def simplified(ranked: list[Attempt]) -> list[Attempt]:
     return ranked
 
 
+def commonest_first(ranked: list[Attempt], catalogue: Iterable[AbstractEffect]) -> list[Attempt]:
+    """The ranking, with the law that comes first in the catalogue first, among those that stand for the best one and
+    explain as much."""
+    order = [effect.id for effect in catalogue]
+    best = ranked[0] if ranked else None
+
+    def equal(other: Attempt) -> bool:
+        behind = other.criterion - best.criterion
+        return behind < settings.EQUAL_DELTA_BIC and resemble(other.score.shape.effect, best.score.shape.effect)
+
+    known = [other for other in ranked if other.name[0] in order and (other is best or equal(other))]
+    if best is None or best.name[0] not in order:
+        return ranked
+    first = min(known, key=lambda other: order.index(other.name[0]))
+    return [first, *(other for other in ranked if other is not first)]
+
+
 def needless(rival: Attempt, best: Attempt) -> bool:
     """Whether a rival is the best law at its place with more parameters, which do not pay (likelihood ratio) or, where
     it is hardly ahead, are near those of the best law; both at 1 %, since several laws with more in them are tried.

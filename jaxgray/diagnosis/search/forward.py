@@ -24,7 +24,7 @@ from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
 from .backward import prune
-from .confusable import alike, needless
+from .confusable import alike, commonest_first, needless
 from .final_swap import swap_rivals
 from .proposals import (
     behind_the_noise,
@@ -214,6 +214,7 @@ def _accepted(
     `given_shape`: with the errors that sizes have beside a shape that is known.
     """
     floor, unsure = floor_of(context, ranked), []
+    ranked = commonest_first(ranked, context.catalogue)
     for k, attempt in enumerate(ranked[:most]):
         context.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
         why, gain, runs = tested(context, state, attempt, floor, given_shape)

@@ -1,0 +1,209 @@
+"""What an MJCF has names for: numbers of a compiled model, and numbers and laws in a model that is written.
+
+**Reference:** Todorov, Erez & Tassa, *MuJoCo: A physics engine for model-based control*, IROS 2012.
+"""
+
+import importlib
+
+import numpy as np
+
+from .inputs import named
+
+JOINT = {
+    "damping": "dof_damping",
+    "frictionloss": "dof_frictionloss",
+    "armature": "dof_armature",
+    "stiffness": "jnt_stiffness",
+}
+"""Attributes of a joint that are numbers, and the arrays of a compiled model that hold them."""
+
+ADDED = ("damping", "frictionloss")
+"""Those of them that a joint may well have, and a model lack."""
+
+POINT = 1e-3
+"""Radius [m] of the sphere that a payload is written as."""
+
+
+def library():
+    """MuJoCo.
+
+    **Raises:** `ImportError` with what to install where it is missing.
+    """
+    try:
+        return importlib.import_module("mujoco")
+    except ImportError:
+        raise ImportError("models of MuJoCo need it: pip install 'jaxgray[mujoco]'") from None
+
+
+def found(model, element: str, name: str, where: str) -> int:
+    """The id of a "JOINT", "BODY", "SITE" or "ACTUATOR" in a compiled model.
+
+    **Raises:** `ValueError` that begins with `where`, and says which there are.
+    """
+    mujoco = library()
+    kind = getattr(mujoco.mjtObj, f"mjOBJ_{element}")
+    at = mujoco.mj_name2id(model, kind, name)
+    if at < 0:
+        count = {"JOINT": model.njnt, "BODY": model.nbody, "SITE": model.nsite, "ACTUATOR": model.nu}[element]
+        names = [mujoco.mj_id2name(model, kind, k) for k in range(count)]
+        raise ValueError(f"{where}: there is no {name!r}, but {named([one for one in names if one])}.")
+    return at
+
+
+def usual_numbers(model, joints: tuple[str, ...]) -> list[str]:
+    """Names of what may be off in a model: damping and friction of its joints, what they have of stiffness and
+    armature, and a payload at the named sites of moving bodies that carry no other."""
+    names = [f"{joint}.{attribute}" for joint in joints for attribute in JOINT]
+    names = [name for name in names if name.endswith(ADDED) or number(model, name) != 0.0]
+    mujoco, carrying = library(), set(map(int, model.body_parentid[1:]))
+    sites = [k for k in range(model.nsite) if 0 < model.site_bodyid[k] and model.site_bodyid[k] not in carrying]
+    flanges = (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, k) for k in sites)
+    return names + [f"{flange}.payload" for flange in flanges if flange]
+
+
+def number(model, name: str) -> float:
+    """A number of a compiled model by its name.
+
+    **Raises:** `ValueError` for a name of nothing.
+    """
+    array, at = _place(model, name)
+    return 0.0 if array is None else float(array[at])
+
+
+def set_number(model, name: str, value: float) -> None:
+    """Change a number of a compiled model, whose constants are to be set again."""
+    array, at = _place(model, name)
+    if array is None:
+        _load(model, at, value)
+        return
+    if name.endswith(".mass"):
+        model.body_inertia[at] *= value / array[at]
+    array[at] = value
+
+
+def _place(model, name: str):
+    """The array that holds a number, and where; no array, and the site, for a payload."""
+    element, _, attribute = name.rpartition(".")
+    where = f"numbers: {name!r}"
+    if attribute in JOINT:
+        joint = found(model, "JOINT", element, where)
+        array = getattr(model, JOINT[attribute])
+        return array, joint if attribute == "stiffness" else int(model.jnt_dofadr[joint])
+    if attribute == "mass":
+        return model.body_mass, found(model, "BODY", element, where)
+    if attribute == "gear":
+        return model.actuator_gear, (found(model, "ACTUATOR", element, where), 0)
+    if attribute == "payload":
+        return None, found(model, "SITE", element, where)
+    raise ValueError(f"{where} is no number; give JOINT.{'|'.join(JOINT)}, BODY.mass, ACTUATOR.gear or SITE.payload.")
+
+
+def _load(model, site: int, mass: float) -> None:
+    """Put a point mass at a site."""
+    mujoco, body, at = library(), int(model.site_bodyid[site]), model.site_pos[site]
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    turn = turn.reshape(3, 3)
+    own, about = float(model.body_mass[body]), np.array(model.body_ipos[body])
+    middle = (own * about + mass * at) / (own + mass)
+
+    def of_point(weight: float, by: np.ndarray) -> np.ndarray:
+        return weight * (by @ by * np.eye(3) - np.outer(by, by))
+
+    inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
+    principal, axes = np.linalg.eigh(inertia + of_point(own, about - middle) + of_point(mass, at - middle))
+    # Axes are turned, not mirrored.
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+    model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = own + mass, middle, principal
+
+
+def write_number(spec, name: str, value: float) -> None:
+    """Set a number in a model that is written."""
+    element, _, attribute = name.rpartition(".")
+    if attribute == "gear":
+        _first(spec.actuator(element), "gear", value)
+    elif attribute == "payload":
+        site, sphere = spec.site(element), library().mjtGeom.mjGEOM_SPHERE
+        point = {"type": sphere, "size": [POINT, 0, 0], "contype": 0, "conaffinity": 0}
+        site.parent.add_geom(name=name, pos=site.pos, mass=value, **point)
+    elif attribute == "mass":
+        body = spec.body(element)
+        factor = value / spec.compile().body(element).mass[0]
+        for geom in body.geoms:
+            geom.mass, geom.density = geom.mass * factor, geom.density * factor
+        body.mass, body.fullinertia, body.inertia = (
+            np.asarray(x) * factor for x in (body.mass, body.fullinertia, body.inertia)
+        )
+    else:
+        _first(spec.joint(element), attribute, value)
+
+
+def _first(element, attribute: str, value: float, order: int = 0, more: float = 0.0) -> None:
+    """Set one of the coefficients of an attribute, which older releases have as a number, to `value` and `more` times
+    what it was."""
+    old = np.array(getattr(element, attribute), dtype=float)
+    if old.ndim:
+        old.flat[order] = value + more * old.flat[order]
+        setattr(element, attribute, old)
+    else:
+        setattr(element, attribute, value + more * float(old))
+
+
+def _friction(spec, place, p):
+    _first(spec.joint(place), "frictionloss", p["Fc"], more=1.0)
+
+
+def _of_order(attribute: str, order: int, parameter: str):
+    def write(spec, place, p):
+        _first(spec.joint(place), attribute, p[parameter], order, more=1.0)
+
+    return write
+
+
+def _limit(spec, place, p):
+    motor = spec.actuator(place)
+    motor.ctrllimited, motor.ctrlrange = library().mjtLimited.mjLIMITED_TRUE, [-p["limit"], p["limit"]]
+
+
+def _delay(spec, place, p):
+    motor = spec.actuator(place)
+    # Between samples what is held over the steps of both.
+    motor.delay, motor.interp = p["tau"], 1
+    motor.nsample = int(np.ceil(p["tau"] / spec.option.timestep)) + 2
+
+
+LAWS = {
+    "coulomb_friction": _friction,
+    "quadratic_stiffness": _of_order("stiffness", 1, "k2"),
+    "cubic_stiffness": _of_order("stiffness", 2, "k3"),
+    "quadratic_drag": _of_order("damping", 1, "c2"),
+    "input_saturation": _limit,
+    "input_delay": _delay,
+}
+"""Laws that an MJCF has attributes for."""
+
+POLYNOMIALS = ("quadratic_stiffness", "cubic_stiffness", "quadratic_drag")
+"""Those of them that need coefficients beyond the first."""
+
+
+def writes(spec, law: str, place: str) -> bool:
+    """Whether a law at a place can be written into a model."""
+    of_motor = law in ("input_saturation", "input_delay")
+    element = spec.actuator(place) if of_motor else spec.joint(place)
+    if law not in LAWS or element is None:
+        return False
+    if law == "input_saturation":
+        # Within a range of its own a motor keeps that.
+        return element.ctrllimited != library().mjtLimited.mjLIMITED_TRUE and not np.any(element.ctrlrange)
+    if law == "input_delay":
+        return getattr(element, "delay", None) == 0.0
+    if law in POLYNOMIALS:
+        about_zero = law == "quadratic_drag" or element.springref == element.ref
+        return about_zero and np.ndim(element.stiffness) > 0
+    return True
+
+
+def write_law(spec, law: str, place: str, parameters: dict[str, float]) -> None:
+    """Add a law at a place to a model that is written."""
+    LAWS[law](spec, place, parameters)
