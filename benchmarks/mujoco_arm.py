@@ -4,9 +4,9 @@
 
 The machine is MuJoCo as well, with what its user's MJCF lacks: damping or dry friction of a joint, backlash in the gear
 of the elbow, a delay or a limit of a motor, cogging, a stop, or a payload at the tip; every number that the MJCF has is
-up to 5 % off. Noise is 0.2 to 1 % of the motion. Damping, dry friction and the payload are numbers of MJCF that are 0.
-Right is what is named at its joint or motor, and nothing else but numbers that are off. Where all that was found can be
-written as MJCF, the gain of that file is measured on another record.
+up to 5 % off. Noise is 0.2 to 1 % of the motion. Damping, dry friction, backlash and payload are numbers that are 0
+there. Right is what is named at its joint or motor, and nothing else but numbers that are off. Where all that was found
+can be written as MJCF, the gain of that file is measured on another record.
 """
 
 import argparse
@@ -40,8 +40,8 @@ EFFECTS = (
     "payload",
 )
 SIZES = {
-    "damping": (0.03, 0.15),
-    "frictionloss": (0.01, 0.08),
+    "damping": (0.06, 0.15),
+    "frictionloss": (0.02, 0.08),
     "backlash": (0.01, 0.05),
     "delay": (0.004, 0.015),
     "saturation": (0.6, 0.85),
@@ -174,7 +174,6 @@ WANTED = {
     "saturation": ({"input_saturation"}, MOTORS),
     "cogging": ({"sine_stiffness"}, JOINTS),
     "stop": ({"end_stop", "dead_zone_stiffness"}, JOINTS),
-    "backlash": ({"dead_zone_stiffness", "end_stop"}, (None, "drive-elbow")),
 }
 """Laws that count as the hidden one, and their places by joint."""
 
@@ -200,7 +199,7 @@ def judged(seed, effect, folder):
     off = {f.location: f for f in found.findings if f.effect == "parameter_error"}
     members = [{(m.effect, m.location) for m in f.members} | {(f.effect, f.location)} for f in laws]
     added = {name for name in off if simulator.numbers[name] == 0.0}
-    number = {"payload": "flange.payload"}.get(effect, f"{JOINTS[truth['at']]}.{effect}")
+    number = {"payload": "flange.payload", "backlash": "gear.backlash"}.get(effect, f"{JOINTS[truth['at']]}.{effect}")
     if effect in WANTED:
         ids, places = WANTED[effect]
         names = {(one, places[truth["at"]]) for one in ids}
@@ -211,7 +210,7 @@ def judged(seed, effect, folder):
     row |= {"verdict": found.verdict, "found": [sorted(m) for m in members], "off": sorted(off)}
     row |= {"calls": calls[0], "seconds": time.perf_counter() - began}
     row |= {"excess": found.excess, "baseline_excess": found.baseline_excess}
-    true = truth["numbers"] | ({"flange.payload": truth["size"]} if effect == "payload" else {})
+    true = truth["numbers"] | ({number: truth["size"]} if effect in ("payload", "backlash") else {})
     row["deviations"] = {
         s.name: (s.after - true.get(s.name, 0.0)) / s.standard_error
         for s in found.shifts

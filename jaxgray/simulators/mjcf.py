@@ -17,6 +17,9 @@ JOINT = {
 }
 """Attributes of a joint that are numbers, and the arrays of a compiled model that hold them."""
 
+TENDON = {"damping": "tendon_damping", "frictionloss": "tendon_frictionloss", "stiffness": "tendon_stiffness"}
+"""The same of a tendon."""
+
 ADDED = ("damping", "frictionloss")
 """Those of them that a joint may well have, and a model lack."""
 
@@ -36,7 +39,7 @@ def library():
 
 
 def found(model, element: str, name: str, where: str) -> int:
-    """The id of a "JOINT", "BODY", "SITE" or "ACTUATOR" in a compiled model.
+    """The id of a "JOINT", "TENDON", "BODY", "SITE" or "ACTUATOR" in a compiled model.
 
     **Raises:** `ValueError` that begins with `where`, and says which there are.
     """
@@ -44,21 +47,30 @@ def found(model, element: str, name: str, where: str) -> int:
     kind = getattr(mujoco.mjtObj, f"mjOBJ_{element}")
     at = mujoco.mj_name2id(model, kind, name)
     if at < 0:
-        count = {"JOINT": model.njnt, "BODY": model.nbody, "SITE": model.nsite, "ACTUATOR": model.nu}[element]
-        names = [mujoco.mj_id2name(model, kind, k) for k in range(count)]
-        raise ValueError(f"{where}: there is no {name!r}, but {named([one for one in names if one])}.")
+        raise ValueError(f"{where}: there is no {name!r}, but {named(_names(model, element))}.")
     return at
 
 
+def _names(model, element: str) -> list[str]:
+    """Names of all elements of a kind that have one."""
+    mujoco = library()
+    counts = {"JOINT": model.njnt, "TENDON": model.ntendon, "BODY": model.nbody, "SITE": model.nsite}
+    kind, count = getattr(mujoco.mjtObj, f"mjOBJ_{element}"), counts.get(element, model.nu)
+    names = (mujoco.mj_id2name(model, kind, k) for k in range(count))
+    return [name for name in names if name]
+
+
 def usual_numbers(model, joints: tuple[str, ...]) -> list[str]:
-    """Names of what may be off in a model: damping and friction of its joints, what they have of stiffness and
-    armature, and a payload at the named sites of moving bodies that carry no other."""
+    """Names of what may be off in a model: damping and friction of its joints, what these have of stiffness and
+    armature; of tendons that are springs stiffness, damping and backlash; a payload at the named sites of moving bodies
+    that carry no other."""
     names = [f"{joint}.{attribute}" for joint in joints for attribute in JOINT]
     names = [name for name in names if name.endswith(ADDED) or number(model, name) != 0.0]
-    mujoco, carrying = library(), set(map(int, model.body_parentid[1:]))
-    sites = [k for k in range(model.nsite) if 0 < model.site_bodyid[k] and model.site_bodyid[k] not in carrying]
-    flanges = (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, k) for k in sites)
-    return names + [f"{flange}.payload" for flange in flanges if flange]
+    springs = [tendon for tendon in _names(model, "TENDON") if number(model, f"{tendon}.stiffness") > 0]
+    names += [f"{tendon}.{attribute}" for tendon in springs for attribute in ("stiffness", "damping", "backlash")]
+    carrying = set(map(int, model.body_parentid))
+    bodies = {site: int(model.site(site).bodyid[0]) for site in _names(model, "SITE")}
+    return names + [f"{site}.payload" for site, body in bodies.items() if body > 0 and body not in carrying]
 
 
 def number(model, name: str) -> float:
@@ -67,6 +79,8 @@ def number(model, name: str) -> float:
     **Raises:** `ValueError` for a name of nothing.
     """
     array, at = _place(model, name)
+    if name.endswith(".backlash"):
+        return float(np.ptp(array[at]))
     return 0.0 if array is None else float(array[at])
 
 
@@ -75,6 +89,9 @@ def set_number(model, name: str, value: float) -> None:
     array, at = _place(model, name)
     if array is None:
         _load(model, at, value)
+        return
+    if name.endswith(".backlash"):
+        array[at] = _spread(array[at], value)
         return
     if name.endswith(".mass"):
         model.body_inertia[at] *= value / array[at]
@@ -85,6 +102,10 @@ def _place(model, name: str):
     """The array that holds a number, and where; no array, and the site, for a payload."""
     element, _, attribute = name.rpartition(".")
     where = f"numbers: {name!r}"
+    if attribute == "backlash":
+        return model.tendon_lengthspring, found(model, "TENDON", element, where)
+    if attribute in TENDON and element in _names(model, "TENDON") and element not in _names(model, "JOINT"):
+        return getattr(model, TENDON[attribute]), found(model, "TENDON", element, where)
     if attribute in JOINT:
         joint = found(model, "JOINT", element, where)
         array = getattr(model, JOINT[attribute])
@@ -95,7 +116,15 @@ def _place(model, name: str):
         return model.actuator_gear, (found(model, "ACTUATOR", element, where), 0)
     if attribute == "payload":
         return None, found(model, "SITE", element, where)
-    raise ValueError(f"{where} is no number; give JOINT.{'|'.join(JOINT)}, BODY.mass, ACTUATOR.gear or SITE.payload.")
+    raise ValueError(
+        f"{where} is no number; give JOINT.{'|'.join(JOINT)}, TENDON.{'|'.join((*TENDON, 'backlash'))}, BODY.mass, "
+        "ACTUATOR.gear or SITE.payload."
+    )
+
+
+def _spread(lengths: np.ndarray, play: float) -> np.ndarray:
+    """Lengths between which a tendon is slack, so far apart, with the same middle."""
+    return np.mean(lengths) + np.array([-play / 2, play / 2])
 
 
 def _load(model, site: int, mass: float) -> None:
@@ -123,6 +152,9 @@ def write_number(spec, name: str, value: float) -> None:
     element, _, attribute = name.rpartition(".")
     if attribute == "gear":
         _first(spec.actuator(element), "gear", value)
+    elif attribute == "backlash":
+        array, at = _place(spec.compile(), name)
+        spec.tendon(element).springlength = _spread(array[at], value)
     elif attribute == "payload":
         site, sphere = spec.site(element), library().mjtGeom.mjGEOM_SPHERE
         point = {"type": sphere, "size": [POINT, 0, 0], "contype": 0, "conaffinity": 0}
@@ -136,7 +168,7 @@ def write_number(spec, name: str, value: float) -> None:
             np.asarray(x) * factor for x in (body.mass, body.fullinertia, body.inertia)
         )
     else:
-        _first(spec.joint(element), attribute, value)
+        _first(spec.joint(element) or spec.tendon(element), attribute, value)
 
 
 def _first(element, attribute: str, value: float, order: int = 0, more: float = 0.0) -> None:

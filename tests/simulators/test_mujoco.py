@@ -110,6 +110,32 @@ def test_a_payload_is_a_point_mass_at_a_site(arm, tmp_path):
     np.testing.assert_allclose(MujocoSimulator(path, record)(record.u, none, {}), expected, atol=1e-9)
 
 
+def test_a_tendon_that_is_a_spring_has_a_backlash(tmp_path):
+    text = """<mujoco><option timestep="0.002"/><worldbody>
+    <body><joint name="motor" type="hinge" axis="0 1 0" damping="0.1"/><geom size="0.1" mass="1"/></body>
+    <body><joint name="load" type="hinge" axis="0 1 0" damping="0.1"/><geom size="0.2" mass="1"/></body></worldbody>
+    <tendon><fixed name="gear" stiffness="{stiffness}" damping="0.01" {slack}><joint joint="motor" coef="1"/>
+    <joint joint="load" coef="-1"/></fixed></tendon><actuator><motor name="m" joint="motor"/></actuator></mujoco>"""
+    path, other = tmp_path / "drive.xml", tmp_path / "other.xml"
+    path.write_text(text.format(stiffness=5, slack=""))
+    other.write_text(text.format(stiffness=4, slack='springlength="-0.03 0.03"'))
+    u = torques(SAMPLES, 3)[:, :1]
+    record = jaxgray.Record(u, np.zeros((SAMPLES, 2)), H, input_names=["m"], output_names=["motor", "load"])
+    simulator = MujocoSimulator(path, record)
+    tendon = {name: value for name, value in simulator.numbers.items() if name.startswith("gear")}
+    assert tendon == {"gear.stiffness": 5.0, "gear.damping": 0.01, "gear.backlash": 0.0}
+    new = {"gear.stiffness": 4.0, "gear.backlash": 0.06}
+    expected = MujocoSimulator(other, record)(record.u, 0 * record.y, {})
+    np.testing.assert_allclose(simulator(record.u, 0 * record.y, new), expected, atol=1e-12)
+    assert np.max(np.abs(simulator(record.u, 0 * record.y, {}) - expected)) > 1e-3
+    found = SimpleNamespace(
+        shifts=[SimpleNamespace(name=name, after=value) for name, value in new.items()],
+        findings=[SimpleNamespace(effect="parameter_error", location=name, stage="model") for name in new],
+    )
+    path.write_text(simulator.mended(found))
+    np.testing.assert_allclose(MujocoSimulator(path, record)(record.u, 0 * record.y, {}), expected, atol=1e-9)
+
+
 def test_what_was_found_is_written_back(arm, tmp_path):
     path, record = arm
     simulator = MujocoSimulator(path, record, ["shoulder.damping", "elbow.stiffness", "lower.mass", "m2.gear"])

@@ -33,6 +33,9 @@ ANSWER = 2e-3
 WITHIN = 10.0
 """How many times more or less than that it may be."""
 
+LARGE = 25.0
+"""How many times more, at a sample, an answer is no longer to first order."""
+
 ATTEMPTS = 4
 """Sizes of a change that are tried."""
 
@@ -296,16 +299,24 @@ def _ahead(plant: Plant, data: Data):
 
 
 def linearized(
-    simulator: Simulator, record: Record, call: Call, y: Float[np.ndarray, "samples outputs"], rng: np.random.Generator
+    simulator: Simulator,
+    record: Record,
+    call: Call,
+    y: Float[np.ndarray, "samples outputs"],
+    rng: np.random.Generator,
+    end: int | None = None,
 ) -> Linearized:
     """The linear plant of a simulator about a run.
 
-    **Arguments:** `simulator`; `record`: for sampling time, hold and names; `call` and its outputs `y`; `rng`.
+    **Arguments:** `simulator`; `record`: for sampling time, hold and names; `call` and its outputs `y`; `rng`; `end`:
+    the sample up to which the run counts.
 
     **Raises:** `ComputationError` where the outputs do not answer to forces as a mechanical system does.
     """
-    dofs, h = record.outputs, record.sampling_time
-    size = np.maximum(np.std(y, axis=0), 1e-3 * max(float(np.max(np.std(y, axis=0))), 1e-300))
+    dofs, h, y = record.outputs, record.sampling_time, y[:end]
+    # Where it rests, its answers are small beside what was measured.
+    moved = np.std(y, axis=0) if np.any(np.ptp(y, axis=0) > 0) else np.nanstd(record.y, axis=0)
+    size = np.maximum(moved, 1e-3 * max(float(np.max(moved)), 1e-300))
     # Where nothing acts, any force: its size is found by what answers.
     force = float(np.sqrt(np.mean(call.u**2))) or 1.0
 
@@ -315,8 +326,10 @@ def linearized(
     def by_inputs(change):
         return Call(call.u + change, call.w, call.numbers)
 
-    shape = _wide_band(len(y), dofs, rng)
+    shape = _wide_band(len(call.u), dofs, rng)
     w, answer = _answered(simulator, by_forces, force * shape, y, size)
+    small = _small(answer, size)
+    w, answer, y = w[:small], answer[:small], y[:small]
     answers = bool(np.all(np.ptp(answer, axis=0) > 0))
     varying = Varying.of(answer, y, around(w, record.hold), h) if answers else None
     M, D, K = varying.matrices if answers else np.zeros((3, dofs, dofs))
@@ -327,8 +340,10 @@ def linearized(
         )
         raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
     inputs = np.std(call.u, axis=0)
-    shape = _wide_band(len(y), record.inputs, rng) * np.where(inputs > 0, inputs, force)
+    shape = _wide_band(len(call.u), record.inputs, rng) * np.where(inputs > 0, inputs, force)
     u, answer = _answered(simulator, by_inputs, shape, y, size)
+    small = _small(answer, size)
+    u, answer, y = u[:small], answer[:small], y[:small]
     # What the same answer takes as forces, not for M, D, K alone, which are means over the motion.
     U, taken = around(u, record.hold), varying(answer, y, h)
     E = np.stack([_least_squares(U[rows], taken[rows, i]) for i, rows in enumerate(varying.in_motion(y, h))])
@@ -345,12 +360,19 @@ def _answered(simulator: Simulator, changed, change, y, size) -> tuple[np.ndarra
             # Too much for it, maybe.
             scale /= WITHIN**2
             continue
-        tried = scale * change, made - y
+        tried = scale * change, made[: len(y)] - y
         share = float(np.sqrt(np.mean((tried[1] / size) ** 2)))
         if ANSWER / WITHIN < share < ANSWER * WITHIN or share == 0.0:
             break
         scale *= ANSWER / share
-    return tried if tried is not None else (scale * change, simulator.run(changed(scale * change)) - y)
+    return tried if tried is not None else (scale * change, simulator.run(changed(scale * change))[: len(y)] - y)
+
+
+def _small(answer: np.ndarray, size: np.ndarray) -> int:
+    """The sample up to which an answer is to first order; all where too few would be left."""
+    far = np.any(np.abs(answer) > LARGE * ANSWER * size, axis=1)
+    end = int(np.argmax(far)) if np.any(far) else len(answer)
+    return end if end >= ROWS * PIECES else len(answer)
 
 
 def around(w: np.ndarray, hold: str) -> np.ndarray:

@@ -130,6 +130,10 @@ class Problem:
         found = [tracked(self.simulator, self.plant, span.record, call, y) for span, call, y in spans]
         return Runs(*(tuple(x) for x in zip(*found)))
 
+    def followed_until(self, runs: Runs) -> int:
+        """Samples in all until runs leave the records."""
+        return sum(near_until(span.record, one) for span, one in zip(self.spans, runs.y))
+
     def follow(self, y: tuple[np.ndarray, ...]) -> bool:
         """Whether runs are near the whole records."""
         return all(near_until(span.record, one) == len(one) for span, one in zip(self.spans, y))

@@ -1,5 +1,6 @@
 """The diagnosis of a user's simulator: numbers first, then laws in its linear plant, then both in the simulator."""
 
+import contextlib
 import functools
 from collections.abc import Callable, Mapping
 
@@ -10,6 +11,7 @@ from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Abstr
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record
+from .. import settings
 from ..acceptance import unproven
 from ..equation_error.without_unmeasured_forces import search_forces
 from ..estimation.context import SearchContext
@@ -21,13 +23,18 @@ from ..noise.floor import independent_floor
 from ..result import Diagnosis
 from ..search.forward import select_forward
 from ..search.state import SearchState, is_local
-from .calls import Simulator, checked_function, checked_numbers
+from .calls import Call, Simulator, checked_function, checked_numbers
 from .conclusions import diagnosis_of, is_white
 from .contenders import chosen, offered
 from .gains import gain_between, nearer, parts_of
 from .linearized import linearized
+from .numbers import NumbersSimulator
 from .problem import Linear, Problem, Runs, Span, sized
-from .settling import Settled, refit_of_numbers, settle
+from .settling import Settled, left_by, refit_of_numbers, settle
+from .tracking import FEWEST, near_until
+
+LEGS = 8
+"""Times that a run is led further at most."""
 
 REPEATED = 1e-9
 """Difference of two runs with the same inputs, relative to the motion, that rounding may make."""
@@ -75,20 +82,27 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     units = sized(simulator, baseline.calls[0], baseline.y[0])
     start = np.where(problem.units == 0.0, 0.0, 1.0)
     problem.units = units
-    progress.unlimited.stage("linearizing the simulator")
-    problem.plant = linearized(simulator, first, baseline.calls[0], baseline.y[0], rng)
-    progress.unlimited.stage("looking for the force that it lacks")
-    followed = problem.led(baseline)
-    if not problem.follow(baseline.y):
-        # The simulator alone is far from the record, and may answer otherwise where that is.
-        problem.plant = linearized(simulator, first, followed.calls[0], followed.y[0], rng)
-    about = problem.with_forces(followed)
+    about = problem.with_forces(_followed(problem, baseline, rng, progress))
     problem.idle = problem.idle_by(about.by_number)
-    linear = problem.linear_simulator(start, steps_of(problem.linear_model(), first.sampling_time))
-    wholes, begin = problem.linear_data(linear, about).near(about.y), None
-    progress.unlimited.stage("fitting the simulator's numbers")
-    context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
-    fitted = _numbers_alone(problem, context, Candidate(start, wholes.states[: len(context.data)]), wholes)
+
+    def numbers_alone(about: Runs, entries: np.ndarray) -> tuple[NumbersSimulator, Linear, Settled | None]:
+        linear = problem.linear_simulator(entries, steps_of(problem.linear_model(), first.sampling_time))
+        wholes = problem.linear_data(linear, about).near(about.y)
+        progress.unlimited.stage("fitting the simulator's numbers")
+        context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
+        begin = Candidate(entries, wholes.states[: len(context.data)])
+        return linear, wholes, _numbers_alone(problem, context, begin, wholes)
+
+    linear, wholes, fitted = numbers_alone(about, start)
+    begin = None
+    runs = problem.tried(problem.called(fitted.candidate.entries)) if _far(problem, baseline, fitted) else None
+    if runs is not None and problem.follow(runs.y):
+        # Its plant, and what its numbers take, as they are where these have led it.
+        with contextlib.suppress(ComputationError):
+            problem.plant = linearized(simulator, first, runs.calls[0], runs.y[0], rng)
+        about, begin = problem.with_forces(runs), fitted.candidate
+        linear, wholes, again = numbers_alone(about, begin.entries)
+        fitted = fitted if again is None or left_by(problem, again.y) > left_by(problem, fitted.y) else again
     if fitted is not None and is_white(parts_of(problem, fitted.y)[0]):
         # The numbers explain it all: what they were is nothing that a law has to stand for.
         linear, wholes, begin = fitted.linear, fitted.wholes, fitted.candidate
@@ -131,6 +145,53 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     return diagnosis_of(
         problem, context, states, settled, baseline=baseline, fitted=fitted, followed=about, start=start
     )
+
+
+def _followed(problem: Problem, baseline: Runs, rng, progress) -> Runs:
+    """Runs that forces lead along the records, and the linear plant about them.
+
+    **Raises:** `ComputationError` where the simulator does not answer to forces as a mechanical system does.
+    """
+    simulator, first = problem.simulator, problem.record
+
+    def led(about: Runs, begin: Runs, end: int | None = None) -> Runs:
+        progress.unlimited.stage("linearizing the simulator")
+        problem.plant = linearized(simulator, first, about.calls[0], about.y[0], rng, end)
+        progress.unlimited.stage("looking for the force that it lacks")
+        return problem.led(begin)
+
+    if problem.follow(baseline.y):
+        return led(baseline, baseline)
+    # Far from the record it may answer otherwise than there, and to small forces by large motions; at rest it does not.
+    none = [Call(0.0 * call.u, call.w, call.numbers) for call in baseline.calls]
+    ends, failure = [], None
+    for about in (baseline, problem.tried(none)):
+        try:
+            ends += [] if about is None else [led(about, baseline)]
+        except ComputationError as error:
+            failure = failure or error
+    if not ends:
+        raise failure
+    followed = max(ends, key=problem.followed_until)
+    for _ in range(LEGS):
+        # As it answers where it was led, it is led further.
+        before, end = problem.followed_until(followed), near_until(first, followed.y[0])
+        further = led(followed, followed, max(end, FEWEST))
+        if problem.followed_until(further) <= before:
+            break
+        followed = further
+    return followed
+
+
+def _far(problem: Problem, baseline: Runs, fitted: Settled | None) -> bool:
+    """Whether numbers alone have led a simulator to where it may answer otherwise: from far away, or near without
+    standing still."""
+    if fitted is None or not problem.follow(fitted.y):
+        return False
+    if not problem.follow(baseline.y):
+        return True
+    nearer = left_by(problem, fitted.y) - left_by(problem, baseline.y)
+    return not fitted.still and nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
 
 
 def _numbers_alone(problem: Problem, context: SearchContext, begin: Candidate, wholes: Linear) -> Settled | None:
