@@ -106,7 +106,8 @@ def findings_of(context: SearchContext, state: SearchState, record: Record) -> t
     for k, accepted in enumerate(state.accepted):
         members = [_member(context, state.fit or accepted.attempt.fit, k, record, 0.0)]
         for rival in accepted.rivals:
-            difference = accepted.attempt.criterion - rival.criterion
+            # A commoner law stands first though another explains a little more.
+            difference = min(accepted.attempt.criterion - rival.criterion, 0.0)
             at = [(t.effect.id, t.place.name) for t in rival.fit.candidate.terms].index(rival.name)
             members.append(_member(context, rival.fit, at, record, difference))
         found.append(
