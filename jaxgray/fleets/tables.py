@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -57,8 +58,10 @@ def row_of(file: str, store: Store, key: str | None, unread: str | None, naming:
 
 def _of(file: str, result: dict, reason: str) -> str:
     """A reason that names this file: the result of files with the same bytes was made of one of them."""
-    made_of = result.get("file") or file
-    return reason.replace(str(made_of), str(file)).replace(Path(made_of).name, Path(file).name)
+    other = str(result.get("file") or file)
+    names = {other: str(file), Path(other).name: Path(file).name}
+    either = "|".join(re.escape(name) for name in names)
+    return re.sub(rf"(?<![\w.-])(?:{either})(?![\w-])", lambda found: names[found[0]], reason)
 
 
 def _identified(document: dict) -> dict:

@@ -4,6 +4,7 @@
 """
 
 import importlib
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -23,8 +24,8 @@ TENDON = {"damping": "tendon_damping", "frictionloss": "tendon_frictionloss", "s
 ADDED = ("damping", "frictionloss")
 """Those of them that a joint may well have, and a model lack."""
 
-POINT = 1e-3
-"""Radius [m] of the sphere that a payload is written as."""
+PAYLOAD_RADIUS = 1e-3
+"""Radius [m] of the sphere that a payload is."""
 
 
 def library():
@@ -47,7 +48,7 @@ def found(model, element: str, name: str, where: str) -> int:
     kind = getattr(mujoco.mjtObj, f"mjOBJ_{element}")
     at = mujoco.mj_name2id(model, kind, name)
     if at < 0:
-        raise ValueError(f"{where}: there is no {name!r}, but {named(_names(model, element))}.")
+        raise ValueError(f"{where}: there is no {name!r}, but {named(_names(model, element)) or 'none'}.")
     return at
 
 
@@ -66,11 +67,48 @@ def usual_numbers(model, joints: tuple[str, ...]) -> list[str]:
     that carry no other."""
     names = [f"{joint}.{attribute}" for joint in joints for attribute in JOINT]
     names = [name for name in names if name.endswith(ADDED) or number(model, name) != 0.0]
-    springs = [tendon for tendon in _names(model, "TENDON") if number(model, f"{tendon}.stiffness") > 0]
+    tendons = [name for name in _names(model, "TENDON") if name not in _names(model, "JOINT")]
+    springs = [name for name in tendons if number(model, f"{name}.stiffness") > 0]
     names += [f"{tendon}.{attribute}" for tendon in springs for attribute in ("stiffness", "damping", "backlash")]
-    carrying = set(map(int, model.body_parentid))
-    bodies = {site: int(model.site(site).bodyid[0]) for site in _names(model, "SITE")}
-    return names + [f"{site}.payload" for site, body in bodies.items() if body > 0 and body not in carrying]
+    # What is welded to a body belongs to it.
+    moving = [k for k in range(model.nbody) if model.body_jntnum[k]]
+    carrying = {int(model.body_weldid[model.body_parentid[k]]) for k in moving}
+    sites = {}
+    for site in _names(model, "SITE"):
+        body = int(model.body_weldid[model.site(site).bodyid[0]])
+        if body > 0 and body not in carrying:
+            sites.setdefault(body, site)
+    return names + [f"{site}.payload" for site in sites.values()]
+
+
+def compiled(path: str, numbers: Iterable[str] = ()):
+    """A model from its file, with a body of no mass for every payload among some numbers.
+
+    **Raises:** `ValueError` for a file that MuJoCo does not read.
+    """
+    mujoco = library()
+    payloads = [name for name in numbers if name.endswith(".payload")]
+    try:
+        if not payloads:
+            return mujoco.MjModel.from_xml_path(path)
+        spec = mujoco.MjSpec.from_file(path)
+        for name in payloads:
+            _payload(spec, name)
+        return spec.compile()
+    except (ValueError, FileNotFoundError) as error:
+        raise ValueError(f"{path}: MuJoCo does not read it: {error}") from error
+
+
+def _payload(spec, name: str):
+    """The body of a payload at a site, added without mass where there is none yet."""
+    body = spec.body(name)
+    if body is None:
+        site = name.removesuffix(".payload")
+        # Where it is in its body, whatever frame or pair of points it was given by.
+        pos = np.array(spec.compile().site(site).pos)
+        body = spec.site(site).parent.add_body(name=name, pos=pos)
+        body.explicitinertial, body.mass, body.ipos, body.inertia = True, 0.0, np.zeros(3), np.zeros(3)
+    return body
 
 
 def number(model, name: str) -> float:
@@ -87,19 +125,18 @@ def number(model, name: str) -> float:
 def set_number(model, name: str, value: float) -> None:
     """Change a number of a compiled model, whose constants are to be set again."""
     array, at = _place(model, name)
-    if array is None:
-        _load(model, at, value)
-        return
     if name.endswith(".backlash"):
         array[at] = _spread(array[at], value)
         return
-    if name.endswith(".mass"):
+    if name.endswith(".payload"):
+        model.body_inertia[at] = _inertia(value)
+    elif name.endswith(".mass"):
         model.body_inertia[at] *= value / array[at]
     array[at] = value
 
 
 def _place(model, name: str):
-    """The array that holds a number, and where; no array, and the site, for a payload."""
+    """The array that holds a number, and where; no array for a payload that a model has no body for."""
     element, _, attribute = name.rpartition(".")
     where = f"numbers: {name!r}"
     if attribute == "backlash":
@@ -115,7 +152,10 @@ def _place(model, name: str):
     if attribute == "gear":
         return model.actuator_gear, (found(model, "ACTUATOR", element, where), 0)
     if attribute == "payload":
-        return None, found(model, "SITE", element, where)
+        found(model, "SITE", element, where)
+        if name not in _names(model, "BODY"):
+            return None, None
+        return model.body_mass, found(model, "BODY", name, where)
     raise ValueError(
         f"{where} is no number; give JOINT.{'|'.join(JOINT)}, TENDON.{'|'.join((*TENDON, 'backlash'))}, BODY.mass, "
         "ACTUATOR.gear or SITE.payload."
@@ -127,24 +167,9 @@ def _spread(lengths: np.ndarray, play: float) -> np.ndarray:
     return np.mean(lengths) + np.array([-play / 2, play / 2])
 
 
-def _load(model, site: int, mass: float) -> None:
-    """Put a point mass at a site."""
-    mujoco, body, at = library(), int(model.site_bodyid[site]), model.site_pos[site]
-    turn = np.empty(9)
-    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
-    turn = turn.reshape(3, 3)
-    own, about = float(model.body_mass[body]), np.array(model.body_ipos[body])
-    middle = (own * about + mass * at) / (own + mass)
-
-    def of_point(weight: float, by: np.ndarray) -> np.ndarray:
-        return weight * (by @ by * np.eye(3) - np.outer(by, by))
-
-    inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
-    principal, axes = np.linalg.eigh(inertia + of_point(own, about - middle) + of_point(mass, at - middle))
-    # Axes are turned, not mirrored.
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
-    model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = own + mass, middle, principal
+def _inertia(mass: float) -> list[float]:
+    """Inertia of a payload, a small sphere."""
+    return [0.4 * mass * PAYLOAD_RADIUS**2] * 3
 
 
 def write_number(spec, name: str, value: float) -> None:
@@ -156,9 +181,8 @@ def write_number(spec, name: str, value: float) -> None:
         array, at = _place(spec.compile(), name)
         spec.tendon(element).springlength = _spread(array[at], value)
     elif attribute == "payload":
-        site, sphere = spec.site(element), library().mjtGeom.mjGEOM_SPHERE
-        point = {"type": sphere, "size": [POINT, 0, 0], "contype": 0, "conaffinity": 0}
-        site.parent.add_geom(name=name, pos=site.pos, mass=value, **point)
+        body = _payload(spec, name)
+        body.mass, body.inertia = value, _inertia(value)
     elif attribute == "mass":
         body = spec.body(element)
         factor = value / spec.compile().body(element).mass[0]
@@ -219,7 +243,7 @@ POLYNOMIALS = ("quadratic_stiffness", "cubic_stiffness", "quadratic_drag")
 """Those of them that need coefficients beyond the first."""
 
 
-def writes(spec, law: str, place: str) -> bool:
+def writes(spec, law: str, place: str, parameters: dict[str, float]) -> bool:
     """Whether a law at a place can be written into a model."""
     of_motor = law in ("input_saturation", "input_delay")
     element = spec.actuator(place) if of_motor else spec.joint(place)
@@ -227,11 +251,15 @@ def writes(spec, law: str, place: str) -> bool:
         return False
     if law == "input_saturation":
         # Within a range of its own a motor keeps that.
-        return element.ctrllimited != library().mjtLimited.mjLIMITED_TRUE and not np.any(element.ctrlrange)
+        limited = library().mjtLimited
+        ranged = element.ctrllimited == limited.mjLIMITED_TRUE or np.any(element.ctrlrange)
+        return element.ctrllimited == limited.mjLIMITED_FALSE or not ranged
     if law == "input_delay":
-        return getattr(element, "delay", None) == 0.0
+        # A motor that is late at all is late by a step at least.
+        return getattr(element, "delay", None) == 0.0 and parameters["tau"] >= spec.option.timestep
     if law in POLYNOMIALS:
-        about_zero = law == "quadratic_drag" or element.springref == element.ref
+        # Its springs act about springref, laws about 0.
+        about_zero = law == "quadratic_drag" or element.springref == 0.0
         return about_zero and np.ndim(element.stiffness) > 0
     return True
 

@@ -27,9 +27,11 @@ class MujocoSimulator:
     Every degree of freedom must be measured: a hinge or slide for each output, by name; an actuator for each input.
 
     **Arguments:** `path` of the MJCF file; `record`, whose names of inputs and outputs are those of actuators and
-    joints; `numbers`: names such as "elbow.damping", "forearm.mass", "motor.gear" or "flange.payload" (a point mass
-    [kg] at a site), with a value each where it is a mapping; default damping and frictionloss of the joints of the
-    outputs, what they have of stiffness and armature, and a payload of 0 at the sites of bodies that carry no other.
+    joints; `numbers`: names such as "elbow.damping", "forearm.mass", "motor.gear", "belt.stiffness" of a tendon, its
+    "belt.backlash" (between the lengths at which it is slack), or "flange.payload" (a point mass [kg] at a site), with
+    a value each where it is a mapping; default damping and frictionloss of the joints of the outputs, what they have of
+    stiffness and armature, stiffness, damping and backlash of tendons that are springs, and a payload at a site of
+    every last link.
 
     **Raises:** `ValueError` for a file that MuJoCo does not read, or that does not fit the record; `ImportError` with
     what to install where MuJoCo is missing.
@@ -49,6 +51,9 @@ class MujocoSimulator:
         if isinstance(numbers, Mapping):
             given |= {name: float(value) for name, value in numbers.items()}
         self.numbers: dict[str, float] = given
+        if any(name.endswith(".payload") for name in given):
+            # With bodies for payloads.
+            del self._model
 
     def __getstate__(self):
         # The model is read again where it is needed: other processes have the file.
@@ -58,11 +63,7 @@ class MujocoSimulator:
     def model(self):
         """The compiled model as it was given."""
         if "_model" not in vars(self):
-            mujoco = mjcf.library()
-            try:
-                self._model = mujoco.MjModel.from_xml_path(self.path)
-            except (ValueError, FileNotFoundError) as error:
-                raise ValueError(f"{self.path}: MuJoCo does not read it: {error}") from error
+            self._model = mjcf.compiled(self.path, vars(self).get("numbers", ()))
         return self._model
 
     def __call__(
@@ -114,20 +115,20 @@ class MujocoSimulator:
     def unwritten(self, found: Diagnosis) -> tuple[str, ...]:
         """What a diagnosis of this simulator found that MJCF has no attribute for."""
         spec = mjcf.library().MjSpec.from_file(self.path)
-        laws = [f for f in _laws(found) if not mjcf.writes(spec, f.effect, f.location)]
+        laws = [f for f in _laws(found) if not mjcf.writes(spec, f.effect, f.location, _values(f))]
         return tuple(f"{f.effect} at {f.location}" for f in laws)
 
     def mended(self, found: Diagnosis) -> str:
         """The model as MJCF, with the numbers that a diagnosis of this simulator found off, and the laws that MJCF has
         attributes for: dry friction, quadratic and cubic springs and quadratic drag of joints, limits and delays of
-        motors."""
+        motors. A payload is a small body at its site."""
         spec = mjcf.library().MjSpec.from_file(self.path)
         for shift in found.shifts:
             if any(f.effect == "parameter_error" and f.location == shift.name for f in found.findings):
                 mjcf.write_number(spec, shift.name, shift.after)
         for f in _laws(found):
-            if mjcf.writes(spec, f.effect, f.location):
-                mjcf.write_law(spec, f.effect, f.location, {name: one.value for name, one in f.parameters.items()})
+            if mjcf.writes(spec, f.effect, f.location, _values(f)):
+                mjcf.write_law(spec, f.effect, f.location, _values(f))
         spec.compile()
         return spec.to_xml()
 
@@ -176,3 +177,7 @@ def _quiet(mujoco):
 def _laws(found: Diagnosis):
     """The laws among the findings of a diagnosis."""
     return [f for f in found.findings if f.stage == "model" and f.effect not in ("parameter_error", "unexplained")]
+
+
+def _values(finding) -> dict[str, float]:
+    return {name: one.value for name, one in finding.parameters.items()}

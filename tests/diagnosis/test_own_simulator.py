@@ -95,6 +95,33 @@ def test_small_forces_show_the_linear_plant():
     assert np.allclose(plant.response(w, record, x0), y, atol=1e-3 * y.std())
 
 
+@pytest.mark.parametrize(("moves", "end"), [(False, None), (True, 60), (True, 400)])
+def test_the_linear_plant_shows_at_rest_and_in_a_part_of_a_run(moves, end):
+    u = pendulum.torque(2000, np.random.default_rng(0), highest=10.0)[:, None]
+    simulator = Simulator(two_masses, ("k",), 2)
+    call = Call(u, np.zeros((2000, 2)), np.array([200.0]))
+    record = jaxgray.Record(u, simulator.run(call), H)
+    call = dataclasses.replace(call, u=u if moves else 0.0 * u)
+    plant = linearized(simulator, record, call, simulator.run(call), np.random.default_rng(1), end)
+    assert np.allclose(plant.mass, np.diag([2.0, 1.0]), atol=0.08)
+    assert np.allclose(plant.stiffness, [[300, -100], [-100, 200]], atol=20)
+    assert np.allclose(plant.input_map, [[3.0], [0.0]], atol=0.15)
+    assert np.max(np.abs(plant.varying.table)) < 1e5, "what moves nothing has no stiffness"
+
+
+def test_a_simulator_far_from_its_record_is_led_there():
+    # Without its damping it turns over and over; the machine does not.
+    rng = np.random.default_rng(8)
+    u = pendulum.torque(SAMPLES, rng, size=1.0)
+    q = pendulum.run(u)
+    record = jaxgray.Record(u, q + 0.003 * q.std() * rng.standard_normal(SAMPLES), H)
+    numbers = pendulum.TRUTH | {"damping": 0.0, "friction": 0.1}
+    assert np.max(np.abs(q)) < 3 < 10 < np.max(np.abs(pendulum.run(u, numbers)))
+    found = jaxgray.diagnose(record, simulator=pendulum.simulator, parameters=numbers, only="coulomb_friction")
+    assert found.verdict == "named" and within(found.shifts), found
+    assert {finding.location for finding in found.findings} == {"damping", "friction"}
+
+
 def test_a_number_takes_a_force_along_the_motion():
     rng = np.random.default_rng(4)
     u = pendulum.torque(SAMPLES, rng)[:, None]

@@ -29,7 +29,7 @@ def records(tmp_path_factory):
     for k, scale in enumerate(STIFFNESS):
         made.write(folder / f"m{k % 2}_{k}.npz", *made.record(k, stiffness=scale), temperature=20.0 + k)
     shutil.copy(folder / "m0_0.npz", folder / "m0_9.npz")
-    for name in ("m2_corrupt.npz", "m2_same.npz"):
+    for name in ("m2_corrupt.npz", "m2_corrupt_too.npz"):
         (folder / name).write_bytes(b"PK\x03\x04 this is no archive")
     np.savez(folder / "m2_others.npz", time=np.arange(9.0), force=np.arange(9.0))
     made.write(folder / "m2_slower.npz", *made.record(7), h=2 * made.H)
@@ -62,8 +62,8 @@ def done(records, tmp_path_factory):
 def test_every_record_has_an_outcome_and_spoilt_ones_a_reason(done):
     assert done.outcomes == {"identified": 5, "failed": 4}
     reasons = {path.rsplit("/", 1)[1]: reason for path, reason in done.failures.items()}
-    for name, other in (("m2_corrupt.npz", "m2_same"), ("m2_same.npz", "m2_corrupt")):
-        assert name in reasons[name] and other not in reasons[name]
+    for name in ("m2_corrupt.npz", "m2_corrupt_too.npz"):
+        assert reasons[name].split(" ", 1)[0].rsplit("/", 1)[-1] == name
     assert "no column 'u1'" in reasons["m2_others.npz"]
     assert "sampling time 0.04 s, and 0.02 s in the fleet" in reasons["m2_slower.npz"]
     assert "5 identified" in repr(done) and "no column 'u1'" in repr(done)

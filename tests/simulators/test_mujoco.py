@@ -110,6 +110,53 @@ def test_a_payload_is_a_point_mass_at_a_site(arm, tmp_path):
     np.testing.assert_allclose(MujocoSimulator(path, record)(record.u, none, {}), expected, atol=1e-9)
 
 
+SITES = {
+    "inertial": (
+        '<inertial pos="0 0 -0.1" mass="0.6" diaginertia="0.004 0.003 0.001"/><site name="tip" pos="0 0 -0.2"/>'
+    ),
+    "frame": '<frame pos="0 0 -0.1"><site name="tip" pos="0 0 -0.1"/></frame>',
+    "points": '<site name="tip" type="capsule" size="0.01" fromto="0 0 -0.1 0 0 -0.3"/>',
+    "origin": '<geom type="sphere" size="0.02" mass="0.1"/><site name="tip" pos="0 0 -0.2"/>',
+    "tool": '<body name="tool" pos="0 0 -0.1"><site name="tip" pos="0 0 -0.1"/></body>',
+}
+
+
+@pytest.mark.parametrize("how", SITES)
+def test_a_payload_is_written_wherever_its_site_is(arm, tmp_path, how):
+    path, record = arm
+    text = path.read_text()
+    path.write_text(text.replace("</body></body>", f"{SITES[how]}</body></body>"))
+    simulator, none = MujocoSimulator(path, record), 0 * record.u
+    assert simulator.numbers["tip.payload"] == 0.0
+    plain = MujocoSimulator(path, record, ["elbow.damping"])(record.u, none, {})
+    np.testing.assert_allclose(simulator(record.u, none, {}), plain, atol=1e-9)
+    made = simulator(record.u, none, {"tip.payload": 0.12, "lower.mass": 0.7})
+    assert np.max(np.abs(made - plain)) > 0.01
+    # The same by a body of its own.
+    point = "<body pos='0 0 -0.2'><inertial pos='0 0 0' mass='0.12' diaginertia='4.8e-8 4.8e-8 4.8e-8'/></body>"
+    other = tmp_path / "other.xml"
+    other.write_text(text.replace("</body></body>", f"{SITES[how]}{point}</body></body>"))
+    expected = MujocoSimulator(other, record, ["lower.mass"])(record.u, none, {"lower.mass": 0.7})
+    np.testing.assert_allclose(made, expected, atol=1e-7)
+    number = SimpleNamespace(effect="parameter_error", location="tip.payload", stage="model", parameters={})
+    found = SimpleNamespace(shifts=[SimpleNamespace(name="tip.payload", after=0.12)], findings=[number])
+    # Written once, and found to be another later.
+    for mass in (0.12, 0.2):
+        found.shifts[0].after = mass
+        expected = simulator(record.u, none, {"tip.payload": mass})
+        path.write_text(MujocoSimulator(path, record).mended(found))
+        np.testing.assert_allclose(MujocoSimulator(path, record)(record.u, none, {}), expected, atol=1e-6)
+        assert MujocoSimulator(path, record).numbers["tip.payload"] == pytest.approx(mass, rel=1e-5)
+
+
+def test_a_fixture_has_no_payload_and_a_link_one(arm):
+    path, record = arm
+    text = path.read_text().replace("<worldbody>", '<worldbody><body name="wall"><site name="hook"/></body>')
+    path.write_text(text.replace("</body></body>", '<site name="tip"/><site name="cup"/></body></body>'))
+    payloads = [name for name in MujocoSimulator(path, record).numbers if name.endswith("payload")]
+    assert payloads == ["tip.payload"]
+
+
 def test_a_tendon_that_is_a_spring_has_a_backlash(tmp_path):
     text = """<mujoco><option timestep="0.002"/><worldbody>
     <body><joint name="motor" type="hinge" axis="0 1 0" damping="0.1"/><geom size="0.1" mass="1"/></body>
@@ -216,7 +263,9 @@ def test_a_law_that_a_model_has_no_room_for_is_not_written(arm):
     path.write_text(path.read_text().replace('name="m1"', 'name="m1" ctrllimited="true" ctrlrange="-1 1"'))
     simulator = MujocoSimulator(path, record)
     laws = [("input_saturation", "m1"), ("cubic_stiffness", "shoulder-elbow"), ("stribeck_friction", "elbow")]
-    findings = [SimpleNamespace(effect=e, location=p, stage="model", parameters={}) for e, p in laws]
+    laws += [("input_delay", "m2")]
+    values = {"tau": SimpleNamespace(value=0.001)}
+    findings = [SimpleNamespace(effect=e, location=p, stage="model", parameters=values) for e, p in laws]
     found = SimpleNamespace(shifts=[], findings=findings)
     assert simulator.unwritten(found) == tuple(f"{e} at {p}" for e, p in laws)
     assert "stribeck" not in simulator.mended(found)

@@ -33,8 +33,11 @@ ANSWER = 2e-3
 WITHIN = 10.0
 """How many times more or less than that it may be."""
 
-LARGE = 25.0
+MAX_ANSWER = 50.0
 """How many times more, at a sample, an answer is no longer to first order."""
+
+AT_REST = 1e-6
+"""Motion of a simulator, relative to that of the record, up to which it is at rest."""
 
 ATTEMPTS = 4
 """Sizes of a change that are tried."""
@@ -258,10 +261,13 @@ def moved_from_rest(A, B, forces: Float[np.ndarray, "samples dofs *many"]) -> Fl
 
 def _least_squares(X: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Weights of the columns, no row counting for more than half of all: what grew large is no longer small."""
-    size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-    rows = np.linalg.norm(X / size, axis=1)
+    size = np.linalg.norm(X, axis=0)
+    known, found = size > 1e-12 * np.max(size, initial=1e-288), np.zeros(X.shape[1])
+    X = X[:, known] / size[known]
+    rows = np.linalg.norm(X, axis=1)
     weight = 1 / np.maximum(rows, np.median(rows) + 1e-300)
-    return np.linalg.lstsq(weight[:, None] * X / size, weight * y, rcond=1e-6)[0] / size
+    found[known] = np.linalg.lstsq(weight[:, None] * X, weight * y, rcond=1e-6)[0] / size[known]
+    return found
 
 
 def _semidefinite(X: np.ndarray) -> np.ndarray:
@@ -313,9 +319,11 @@ def linearized(
 
     **Raises:** `ComputationError` where the outputs do not answer to forces as a mechanical system does.
     """
-    dofs, h, y = record.outputs, record.sampling_time, y[:end]
-    # Where it rests, its answers are small beside what was measured.
-    moved = np.std(y, axis=0) if np.any(np.ptp(y, axis=0) > 0) else np.nanstd(record.y, axis=0)
+    # Fewer would not determine it.
+    dofs, h, y = record.outputs, record.sampling_time, y[: None if end is None else max(end, ROWS * PIECES)]
+    # Of a simulator at rest, answers are small relative to the motion of the record.
+    moved, measured = np.std(y, axis=0), np.nanstd(record.y, axis=0)
+    moved = moved if np.any(moved > AT_REST * measured) else measured
     size = np.maximum(moved, 1e-3 * max(float(np.max(moved)), 1e-300))
     # Where nothing acts, any force: its size is found by what answers.
     force = float(np.sqrt(np.mean(call.u**2))) or 1.0
@@ -370,7 +378,7 @@ def _answered(simulator: Simulator, changed, change, y, size) -> tuple[np.ndarra
 
 def _small(answer: np.ndarray, size: np.ndarray) -> int:
     """The sample up to which an answer is to first order; all where too few would be left."""
-    far = np.any(np.abs(answer) > LARGE * ANSWER * size, axis=1)
+    far = np.any(np.abs(answer) > MAX_ANSWER * ANSWER * size, axis=1)
     end = int(np.argmax(far)) if np.any(far) else len(answer)
     return end if end >= ROWS * PIECES else len(answer)
 

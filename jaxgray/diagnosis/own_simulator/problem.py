@@ -19,7 +19,7 @@ from ..model.free_run import FreeRun
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time
-from .tracking import as_linear, forces_beside, forces_by_number, near_until, tracked, until
+from .tracking import as_linear, forces_beside, forces_by_number, near_until, relative_error, tracked, until
 
 SEEN = 0.1
 """Answer to a number that was given as 0, as it counts for one of size, relative to the motion."""
@@ -131,8 +131,12 @@ class Problem:
         return Runs(*(tuple(x) for x in zip(*found)))
 
     def followed_until(self, runs: Runs) -> int:
-        """Samples in all until runs leave the records."""
-        return sum(near_until(span.record, one) for span, one in zip(self.spans, runs.y))
+        """Samples in all until runs leave the records, none of one that is far off from the first."""
+        ends = []
+        for span, y in zip(self.spans, runs.y):
+            end = near_until(span.record, y)
+            ends.append(0 if end == len(y) and relative_error(span.record, y) >= 1.0 else end)
+        return sum(ends)
 
     def follow(self, y: tuple[np.ndarray, ...]) -> bool:
         """Whether runs are near the whole records."""

@@ -3,6 +3,7 @@
 import contextlib
 import functools
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,14 +28,15 @@ from .calls import Call, Simulator, checked_function, checked_numbers
 from .conclusions import diagnosis_of, is_white
 from .contenders import chosen, offered
 from .gains import gain_between, nearer, parts_of
-from .linearized import linearized
+from .linearized import Linearized, linearized
 from .numbers import NumbersSimulator
 from .problem import Linear, Problem, Runs, Span, sized
 from .settling import Settled, left_by, refit_of_numbers, settle
-from .tracking import FEWEST, near_until
+from .tracking import near_until
 
-LEGS = 8
-"""Times that a run is led further at most."""
+MAX_RELINEARIZATIONS, MAX_LEADS = 8, 2
+"""Times that a simulator is linearized about a led run to lead it further; and times that it is led anew with other
+numbers."""
 
 REPEATED = 1e-9
 """Difference of two runs with the same inputs, relative to the motion, that rounding may make."""
@@ -82,27 +84,46 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     units = sized(simulator, baseline.calls[0], baseline.y[0])
     start = np.where(problem.units == 0.0, 0.0, 1.0)
     problem.units = units
-    about = problem.with_forces(_followed(problem, baseline, rng, progress))
-    problem.idle = problem.idle_by(about.by_number)
 
-    def numbers_alone(about: Runs, entries: np.ndarray) -> tuple[NumbersSimulator, Linear, Settled | None]:
+    def begun(about: Runs, entries: np.ndarray) -> _Begun:
+        problem.idle = problem.idle_by(about.by_number)
         linear = problem.linear_simulator(entries, steps_of(problem.linear_model(), first.sampling_time))
         wholes = problem.linear_data(linear, about).near(about.y)
         progress.unlimited.stage("fitting the simulator's numbers")
         context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
         begin = Candidate(entries, wholes.states[: len(context.data)])
-        return linear, wholes, _numbers_alone(problem, context, begin, wholes)
+        return _Begun(problem.plant, problem.idle, linear, wholes, _numbers_alone(problem, context, begin, wholes))
 
-    linear, wholes, fitted = numbers_alone(about, start)
-    begin = None
-    runs = problem.tried(problem.called(fitted.candidate.entries)) if _far(problem, baseline, fitted) else None
+    followed = problem.with_forces(_followed(problem, baseline, rng, progress))
+    found, runs, begin = begun(followed, start), baseline, None
+    for _ in range(MAX_LEADS):
+        fitted = found.fitted
+        if fitted is None or problem.follow(runs.y) or problem.follow(fitted.y):
+            break
+        # From far away its numbers come nearer at a time: led with these it answers more as it does along the record.
+        further = problem.tried(problem.called(fitted.candidate.entries))
+        if further is None or problem.followed_until(further) <= problem.followed_until(runs):
+            break
+        try:
+            about = problem.with_forces(_followed(problem, further, rng, progress))
+            again = begun(about, fitted.candidate.entries)
+        except ComputationError:
+            break
+        if again.fitted is None:
+            break
+        found, followed, runs, begin = again, about, further, fitted.candidate
+    fitted = found.fitted
+    runs = problem.tried(problem.called(fitted.candidate.entries)) if _moved_far(problem, baseline, fitted) else None
     if runs is not None and problem.follow(runs.y):
         # Its plant, and what its numbers take, as they are where these have led it.
         with contextlib.suppress(ComputationError):
-            problem.plant = linearized(simulator, first, runs.calls[0], runs.y[0], rng)
-        about, begin = problem.with_forces(runs), fitted.candidate
-        linear, wholes, again = numbers_alone(about, begin.entries)
-        fitted = fitted if again is None or left_by(problem, again.y) > left_by(problem, fitted.y) else again
+            with contextlib.suppress(ComputationError):
+                problem.plant = linearized(simulator, first, runs.calls[0], runs.y[0], rng)
+            again = begun(problem.with_forces(runs), fitted.candidate.entries)
+            if again.fitted is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y):
+                found, begin = again, fitted.candidate
+    problem.plant, problem.idle = found.plant, found.idle
+    linear, wholes, fitted = found.linear, found.wholes, found.fitted
     if fitted is not None and is_white(parts_of(problem, fitted.y)[0]):
         # The numbers explain it all: what they were is nothing that a law has to stand for.
         linear, wholes, begin = fitted.linear, fitted.wholes, fitted.candidate
@@ -143,25 +164,37 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
             raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
         settled.append(fitted)
     return diagnosis_of(
-        problem, context, states, settled, baseline=baseline, fitted=fitted, followed=about, start=start
+        problem, context, states, settled, baseline=baseline, fitted=fitted, followed=followed, start=start
     )
 
 
+@dataclass(frozen=True)
+class _Begun:
+    """Where laws are looked for: the `plant` about a run, which numbers are `idle` there, the `linear` simulator and
+    records for it (`wholes`), and numbers alone in the simulator (`fitted`; None where it does not run with them)."""
+
+    plant: Linearized
+    idle: np.ndarray
+    linear: NumbersSimulator
+    wholes: Linear
+    fitted: Settled | None
+
+
 def _followed(problem: Problem, baseline: Runs, rng, progress) -> Runs:
-    """Runs that forces lead along the records, and the linear plant about them.
+    """Runs that forces lead along the records, and the linear plant about the first of them.
 
     **Raises:** `ComputationError` where the simulator does not answer to forces as a mechanical system does.
     """
     simulator, first = problem.simulator, problem.record
 
-    def led(about: Runs, begin: Runs, end: int | None = None) -> Runs:
+    def led(about: Runs, begin: Runs, end: int | None = None) -> tuple[Runs, Linearized]:
         progress.unlimited.stage("linearizing the simulator")
         problem.plant = linearized(simulator, first, about.calls[0], about.y[0], rng, end)
         progress.unlimited.stage("looking for the force that it lacks")
-        return problem.led(begin)
+        return problem.led(begin), problem.plant
 
     if problem.follow(baseline.y):
-        return led(baseline, baseline)
+        return led(baseline, baseline)[0]
     # Far from the record it may answer otherwise than there, and to small forces by large motions; at rest it does not.
     none = [Call(0.0 * call.u, call.w, call.numbers) for call in baseline.calls]
     ends, failure = [], None
@@ -172,20 +205,26 @@ def _followed(problem: Problem, baseline: Runs, rng, progress) -> Runs:
             failure = failure or error
     if not ends:
         raise failure
-    followed = max(ends, key=problem.followed_until)
-    for _ in range(LEGS):
-        # As it answers where it was led, it is led further.
-        before, end = problem.followed_until(followed), near_until(first, followed.y[0])
-        further = led(followed, followed, max(end, FEWEST))
-        if problem.followed_until(further) <= before:
+    followed, plant = max(ends, key=lambda end: problem.followed_until(end[0]))
+    for _ in range(MAX_RELINEARIZATIONS):
+        # As it answers up to where it was led, it is led further.
+        before = problem.followed_until(followed)
+        try:
+            further, about_it = led(followed, followed, near_until(first, followed.y[0]))
+        except ComputationError:
             break
-        followed = further
+        if problem.followed_until(further) <= before:
+            if problem.follow(followed.y):
+                plant = about_it
+            break
+        followed, plant = further, about_it
+    problem.plant = plant
     return followed
 
 
-def _far(problem: Problem, baseline: Runs, fitted: Settled | None) -> bool:
-    """Whether numbers alone have led a simulator to where it may answer otherwise: from far away, or near without
-    standing still."""
+def _moved_far(problem: Problem, baseline: Runs, fitted: Settled | None) -> bool:
+    """Whether numbers alone have led a simulator to where it may answer otherwise: from far away, or much nearer
+    without standing still."""
     if fitted is None or not problem.follow(fitted.y):
         return False
     if not problem.follow(baseline.y):

@@ -128,13 +128,13 @@ def tracked(
 
 def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y: np.ndarray):
     """The call that brings the outputs nearest to all of a record, from one on; and those outputs."""
-    best, size = (call, y), _size(record, y)
+    best, size = (call, y), relative_error(record, y)
     for _ in range(ROUNDS):
         call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
         y = simulator.tried(call) if bounded(call.w) else None
         if y is None:
             break
-        now = _size(record, y)
+        now = relative_error(record, y)
         before, size = size, min(now, size)
         if now < before:
             best = call, y
@@ -317,7 +317,7 @@ def forces_by_number(
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
 
 
-def _size(record: Record, y: np.ndarray) -> float:
+def relative_error(record: Record, y: np.ndarray) -> float:
     """Root mean square error of a run, every output in units of its own motion."""
     e = np.where(np.isfinite(record.y), record.y - y, 0.0)
     with np.errstate(over="ignore"):

@@ -38,14 +38,16 @@ def simplified(ranked: list[Attempt]) -> list[Attempt]:
 
 
 def commonest_first(ranked: list[Attempt], catalogue: Iterable[AbstractEffect]) -> list[Attempt]:
-    """The ranking, with the law that comes first in the catalogue first, among those that stand for the best one and
-    explain as much."""
+    """The ranking, with the law first that comes first in the catalogue, among the look-alikes of the best one there
+    that explain as much."""
     order = [effect.id for effect in catalogue]
     best = ranked[0] if ranked else None
 
     def equal(other: Attempt) -> bool:
-        behind = other.criterion - best.criterion
-        return behind < settings.EQUAL_DELTA_BIC and resemble(other.score.shape.effect, best.score.shape.effect)
+        behind, (law, of_best) = other.criterion - best.criterion, (a.score.shape.effect for a in (other, best))
+        # Friction of a load is one of its motor, that of a joint one of the joint.
+        there = other.name[1] == best.name[1] or law.places != of_best.places
+        return there and behind < settings.EQUAL_DELTA_BIC and resemble(law, of_best)
 
     known = [other for other in ranked if other.name[0] in order and (other is best or equal(other))]
     if best is None or best.name[0] not in order:

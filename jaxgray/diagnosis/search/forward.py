@@ -214,8 +214,9 @@ def _accepted(
     `given_shape`: with the errors that sizes have beside a shape that is known.
     """
     floor, unsure = floor_of(context, ranked), []
-    ranked = commonest_first(ranked, context.catalogue)
-    for k, attempt in enumerate(ranked[:most]):
+    judged = len(ranked) if most is None else most
+    ranked = commonest_first(ranked[:judged], context.catalogue) + ranked[judged:]
+    for k, attempt in enumerate(ranked[:judged]):
         context.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
         why, gain, runs = tested(context, state, attempt, floor, given_shape)
         if why is None and gain.ci99_lower < least:
