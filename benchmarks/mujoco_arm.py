@@ -5,16 +5,15 @@
 The machine is MuJoCo as well, with what its user's MJCF lacks: damping or dry friction of a joint, backlash in the gear
 of the elbow, a delay or a limit of a motor, cogging, a stop, or a payload at the tip; every number that the MJCF has is
 up to 5 % off. Noise is 0.2 to 1 % of the motion. Damping, dry friction, backlash and payload are numbers that are 0
-there. Right is what is named at its joint or motor, and nothing else but numbers that are off. Where all that was found
-can be written as MJCF, the gain of that file is measured on another record.
+there. Right is a law at its joint or motor, alone or in a class, and no other, be it that a part stays unexplained; of
+numbers, that the missing one and no other that was 0 is off. A lag counts as the delay, a dead zone as the stop. Where
+all that was found can be written as MJCF, the gain of that file is measured on another record.
 """
 
-import argparse
-import json
+import functools
 import pathlib
 import tempfile
 import time
-import warnings
 
 import jax
 import numpy as np
@@ -23,6 +22,7 @@ import scipy.signal
 jax.config.update("jax_enable_x64", True)
 
 import mujoco  # noqa: E402
+from simulator_campaign import campaign, laws_of  # noqa: E402
 
 import jaxgray  # noqa: E402
 from jaxgray.simulators import MujocoSimulator  # noqa: E402
@@ -195,7 +195,7 @@ def judged(seed, effect, folder):
         found = jaxgray.diagnose(record, simulator=counted, parameters=simulator.numbers)
     except jaxgray.ComputationError as error:
         return row | {"failed": str(error), "seconds": time.perf_counter() - began}
-    laws = [f for f in found.findings if f.stage == "model" and f.effect not in ("parameter_error", "unexplained")]
+    laws = laws_of(found)
     off = {f.location: f for f in found.findings if f.effect == "parameter_error"}
     members = [{(m.effect, m.location) for m in f.members} | {(f.effect, f.location)} for f in laws]
     added = {name for name in off if simulator.numbers[name] == 0.0}
@@ -239,25 +239,8 @@ def _measured(simulator, found, record, other, path):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--records", type=int, default=104)
-    parser.add_argument("--without", type=int, default=100)
-    parser.add_argument("--json")
-    given = parser.parse_args()
-    warnings.simplefilter("ignore")
-    rows = []
-    cases = [(given.first + k, EFFECTS[(given.first + k) % len(EFFECTS)]) for k in range(given.records)]
-    cases += [(given.first + given.records + k, None) for k in range(given.without)]
     with tempfile.TemporaryDirectory() as folder:
-        for seed, effect in cases:
-            rows.append(judged(seed, effect, pathlib.Path(folder)))
-            print(rows[-1], flush=True)
-            if given.json:
-                pathlib.Path(given.json).write_text(json.dumps(rows, indent=1, default=float))
-    hidden, plain = ([r for r in rows if (r["effect"] is None) == none] for none in (False, True))
-    right = [sum(r.get("right", False) for r in group) for group in (hidden, plain)]
-    print(f"arm: {right[0]} of {len(hidden)} right; without: {len(plain) - right[1]} of {len(plain)} false")
+        campaign("arm", functools.partial(judged, folder=pathlib.Path(folder)), EFFECTS, 104, 100)
 
 
 if __name__ == "__main__":

@@ -8,12 +8,9 @@ own number. A round looks for one law: as many rounds as laws were found, and on
 development.
 """
 
-import argparse
-import json
 import pathlib
 import sys
 import time
-import warnings
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "tests"))
 
@@ -23,6 +20,7 @@ import numpy as np
 jax.config.update("jax_enable_x64", True)
 
 import pendulum  # noqa: E402
+from simulator_campaign import campaign, laws_of  # noqa: E402
 
 import jaxgray  # noqa: E402
 
@@ -87,7 +85,7 @@ def judged(seed, effect):
         found = jaxgray.diagnose(record, simulator=simulator, parameters=numbers)
     except jaxgray.ComputationError as error:
         return row | {"failed": str(error)}
-    laws = [f for f in found.findings if f.stage == "model" and f.effect not in ("parameter_error", "unexplained")]
+    laws = laws_of(found)
     known = [s for s in found.shifts if s.standard_error and s.name != "friction"]
     off = [abs(s.after - pendulum.TRUTH[s.name]) / s.standard_error for s in known]
     row |= {"verdict": found.verdict, "found": [(f.effect, f.location, f.status) for f in laws]}
@@ -110,26 +108,9 @@ def judged(seed, effect):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--records", type=int, default=56)
-    parser.add_argument("--without", type=int, default=30)
-    parser.add_argument("--json")
-    given = parser.parse_args()
-    warnings.simplefilter("ignore")
-    rows = []
-    cases = [(given.first + k, EFFECTS[(given.first + k) % len(EFFECTS)]) for k in range(given.records)]
-    cases += [(given.first + given.records + k, None) for k in range(given.without)]
-    for seed, effect in cases:
-        rows.append(judged(seed, effect))
-        print(rows[-1], flush=True)
-        if given.json:
-            pathlib.Path(given.json).write_text(json.dumps(rows, indent=1, default=float))
-    hidden, plain = ([r for r in rows if (r["effect"] is None) == none] for none in (False, True))
-    right = [sum(r.get("right", False) for r in group) for group in (hidden, plain)]
+    rows = campaign("own simulator", judged, EFFECTS, 56, 30)
     rounds = [r["calls_a_round"] for r in rows if "calls_a_round" in r]
     print(f"calls a round: median {np.median(rounds):.0f}, most {np.max(rounds):.0f}")
-    print(f"own simulator: {right[0]} of {len(hidden)} right; without: {len(plain) - right[1]} of {len(plain)} false")
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ def _of(file: str, result: dict, reason: str) -> str:
     other = str(result.get("file") or file)
     names = {other: str(file), Path(other).name: Path(file).name}
     either = "|".join(re.escape(name) for name in names)
-    return re.sub(rf"(?<![\w.-])(?:{either})(?![\w-])", lambda found: names[found[0]], reason)
+    return re.sub(rf"(?<![\w.-])(?:{either})(?![\w-]|\.\w)", lambda found: names[found[0]], reason)
 
 
 def _identified(document: dict) -> dict:

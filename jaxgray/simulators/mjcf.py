@@ -112,7 +112,7 @@ def _payload(spec, name: str):
 
 
 def number(model, name: str) -> float:
-    """A number of a compiled model by its name.
+    """A number of a compiled model by its name, in units of MJCF; 0 of a payload that it has no body for.
 
     **Raises:** `ValueError` for a name of nothing.
     """
@@ -123,8 +123,13 @@ def number(model, name: str) -> float:
 
 
 def set_number(model, name: str, value: float) -> None:
-    """Change a number of a compiled model, whose constants are to be set again."""
+    """Change a number of a compiled model, whose constants are to be set again.
+
+    **Raises:** `ValueError` for a name of nothing, or a payload that the model was not compiled with.
+    """
     array, at = _place(model, name)
+    if array is None:
+        raise ValueError(f"numbers: {name!r} was not among the numbers of this simulator; name it there.")
     if name.endswith(".backlash"):
         array[at] = _spread(array[at], value)
         return
@@ -244,7 +249,7 @@ POLYNOMIALS = ("quadratic_stiffness", "cubic_stiffness", "quadratic_drag")
 
 
 def writes(spec, law: str, place: str, parameters: dict[str, float]) -> bool:
-    """Whether a law at a place can be written into a model."""
+    """Whether a law at a place can be written into a model; arguments as of `write_law`."""
     of_motor = law in ("input_saturation", "input_delay")
     element = spec.actuator(place) if of_motor else spec.joint(place)
     if law not in LAWS or element is None:
@@ -265,5 +270,9 @@ def writes(spec, law: str, place: str, parameters: dict[str, float]) -> bool:
 
 
 def write_law(spec, law: str, place: str, parameters: dict[str, float]) -> None:
-    """Add a law at a place to a model that is written."""
+    """Add a law at a place to a model that is written.
+
+    **Arguments:** `spec`, an `MjSpec`; `law`: one of `LAWS`; `place`: a joint or a motor; `parameters` of the law by
+    name, in units of MJCF.
+    """
     LAWS[law](spec, place, parameters)

@@ -149,6 +149,16 @@ def test_a_payload_is_written_wherever_its_site_is(arm, tmp_path, how):
         assert MujocoSimulator(path, record).numbers["tip.payload"] == pytest.approx(mass, rel=1e-5)
 
 
+def test_a_payload_that_was_not_among_the_numbers_is_refused(arm):
+    path, record = arm
+    path.write_text(path.read_text().replace("</body></body>", '<site name="tip"/></body></body>'))
+    simulator = MujocoSimulator(path, record, ["elbow.damping"])
+    before = simulator.model.body_inertia.copy()
+    with pytest.raises(ValueError, match="'tip.payload' was not among the numbers"):
+        simulator(record.u, 0 * record.u, {"tip.payload": 0.1})
+    np.testing.assert_array_equal(simulator.model.body_inertia, before)
+
+
 def test_a_fixture_has_no_payload_and_a_link_one(arm):
     path, record = arm
     text = path.read_text().replace("<worldbody>", '<worldbody><body name="wall"><site name="hook"/></body>')

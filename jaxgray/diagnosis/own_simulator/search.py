@@ -76,7 +76,7 @@ def diagnose_simulator(
 
 
 def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rng, progress) -> Diagnosis:
-    simulator, first = problem.simulator, problem.record
+    simulator = problem.simulator
     progress.unlimited.stage("running the simulator")
     start = np.ones(len(problem.units))
     baseline = problem.runs(problem.called(start))
@@ -85,44 +85,10 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     start = np.where(problem.units == 0.0, 0.0, 1.0)
     problem.units = units
 
-    def begun(about: Runs, entries: np.ndarray) -> _Begun:
-        problem.idle = problem.idle_by(about.by_number)
-        linear = problem.linear_simulator(entries, steps_of(problem.linear_model(), first.sampling_time))
-        wholes = problem.linear_data(linear, about).near(about.y)
-        progress.unlimited.stage("fitting the simulator's numbers")
-        context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
-        begin = Candidate(entries, wholes.states[: len(context.data)])
-        return _Begun(problem.plant, problem.idle, linear, wholes, _numbers_alone(problem, context, begin, wholes))
+    def context_of(linear: NumbersSimulator, wholes: Linear) -> SearchContext:
+        return _context(problem, linear, wholes, catalogue, separate, rng, progress)
 
-    followed = problem.with_forces(_followed(problem, baseline, rng, progress))
-    found, runs, begin = begun(followed, start), baseline, None
-    for _ in range(MAX_LEADS):
-        fitted = found.fitted
-        if fitted is None or problem.follow(runs.y) or problem.follow(fitted.y):
-            break
-        # From far away its numbers come nearer at a time: led with these it answers more as it does along the record.
-        further = problem.tried(problem.called(fitted.candidate.entries))
-        if further is None or problem.followed_until(further) <= problem.followed_until(runs):
-            break
-        try:
-            about = problem.with_forces(_followed(problem, further, rng, progress))
-            again = begun(about, fitted.candidate.entries)
-        except ComputationError:
-            break
-        if again.fitted is None:
-            break
-        found, followed, runs, begin = again, about, further, fitted.candidate
-    fitted = found.fitted
-    runs = problem.tried(problem.called(fitted.candidate.entries)) if _moved_far(problem, baseline, fitted) else None
-    if runs is not None and problem.follow(runs.y):
-        # Its plant, and what its numbers take, as they are where these have led it.
-        with contextlib.suppress(ComputationError):
-            with contextlib.suppress(ComputationError):
-                problem.plant = linearized(simulator, first, runs.calls[0], runs.y[0], rng)
-            again = begun(problem.with_forces(runs), fitted.candidate.entries)
-            if again.fitted is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y):
-                found, begin = again, fitted.candidate
-    problem.plant, problem.idle = found.plant, found.idle
+    found, followed, begin = _begin(problem, baseline, start, context_of, rng, progress)
     linear, wholes, fitted = found.linear, found.wholes, found.fitted
     if fitted is not None and is_white(parts_of(problem, fitted.y)[0]):
         # The numbers explain it all: what they were is nothing that a law has to stand for.
@@ -130,7 +96,7 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     states: list[SearchState] = []
     settled: list[Settled] = []
     while len(settled) <= max_effects:
-        context = _context(problem, linear, wholes, catalogue, separate, rng, progress)
+        context = context_of(linear, wholes)
         begin = Candidate(start, wholes.states[: len(context.data)]) if begin is None else begin
         state = select_forward(context, begin, min(1, max_effects - len(settled)))
         states.append(state)
@@ -178,6 +144,59 @@ class _Begun:
     linear: NumbersSimulator
     wholes: Linear
     fitted: Settled | None
+
+
+def _begin(
+    problem: Problem, baseline: Runs, start: np.ndarray, context_of: Callable, rng, progress
+) -> tuple[_Begun, Runs, Candidate | None]:
+    """Where laws are looked for, runs that forces lead along the records, and the candidate to begin with, None for the
+    numbers as they were given.
+
+    **Arguments:** `problem`; `baseline`: runs with the numbers as they were given, as entries `start`; `context_of`:
+    the context of a search by a linear simulator and its records; `rng`; `progress`.
+
+    **Raises:** `ComputationError` where the simulator fails with the numbers as they were given.
+    """
+
+    def begun(about: Runs, entries: np.ndarray) -> _Begun:
+        problem.idle = problem.idle_by(about.by_number)
+        linear = problem.linear_simulator(entries, steps_of(problem.linear_model(), problem.record.sampling_time))
+        wholes = problem.linear_data(linear, about).near(about.y)
+        progress.unlimited.stage("fitting the simulator's numbers")
+        context = context_of(linear, wholes)
+        candidate = Candidate(entries, wholes.states[: len(context.data)])
+        return _Begun(problem.plant, problem.idle, linear, wholes, _numbers_alone(problem, context, candidate, wholes))
+
+    followed = problem.with_forces(_followed(problem, baseline, rng, progress))
+    found, runs, begin = begun(followed, start), baseline, None
+    for _ in range(MAX_LEADS):
+        fitted = found.fitted
+        if fitted is None or problem.follow(runs.y) or problem.follow(fitted.y):
+            break
+        # From far away its numbers come nearer at a time: led with these it answers more as it does along the record.
+        further = problem.tried(problem.called(fitted.candidate.entries))
+        if further is None or problem.followed_until(further) <= problem.followed_until(runs):
+            break
+        try:
+            about = problem.with_forces(_followed(problem, further, rng, progress))
+            again = begun(about, fitted.candidate.entries)
+        except ComputationError:
+            break
+        if again.fitted is None:
+            break
+        found, followed, runs, begin = again, about, further, fitted.candidate
+    fitted = found.fitted
+    runs = problem.tried(problem.called(fitted.candidate.entries)) if _moved_far(problem, baseline, fitted) else None
+    if runs is not None and problem.follow(runs.y):
+        # Its plant, and what its numbers take, as they are where these have led it.
+        with contextlib.suppress(ComputationError):
+            with contextlib.suppress(ComputationError):
+                problem.plant = linearized(problem.simulator, problem.record, runs.calls[0], runs.y[0], rng)
+            again = begun(problem.with_forces(runs), fitted.candidate.entries)
+            if again.fitted is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y):
+                found, begin = again, fitted.candidate
+    problem.plant, problem.idle = found.plant, found.idle
+    return found, followed, begin
 
 
 def _followed(problem: Problem, baseline: Runs, rng, progress) -> Runs:
