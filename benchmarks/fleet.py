@@ -17,6 +17,7 @@ import os
 import pathlib
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -146,7 +147,9 @@ def robust(options, folder):
     process.wait(60)
     stopped, first, before = process.returncode, done(out), written(out)
     # A scheduler of its own, killed when 40 % are done.
-    port = 18786
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     dask = [sys.executable, "-m", "dask"]
     quietly = {"env": environment, "stdout": log, "stderr": log, "start_new_session": True}
@@ -155,14 +158,18 @@ def robust(options, folder):
     time.sleep(5)
     worker = subprocess.Popen([*dask, "worker", address, "--nthreads", "1", "--no-dashboard"], **quietly)
     time.sleep(10)
+    assert scheduler.poll() is None and worker.poll() is None, f"scheduler or worker ended; see {folder}/log.txt"
     process = command(
         *fleet_of(folder / "records", out, "--scheduler", address, "--no-pages"), stdout=log, stderr=subprocess.PIPE
     )
+    at_kill = None
     while process.poll() is None:
         time.sleep(0.05)
         if done(out) >= max(0.4 * total, first + 1):
             os.killpg(scheduler.pid, signal.SIGKILL)
+            at_kill = done(out)
             break
+    assert at_kill is not None, "the command ended before its scheduler was killed"
     lost = process.communicate(timeout=120)[1].strip().splitlines()
     second, between = done(out), written(out)
     with contextlib.suppress(ProcessLookupError):
@@ -183,7 +190,8 @@ def robust(options, folder):
         "workers killed": kills,
         "exit code of the stopped command": stopped,
         "results after it": first,
-        "results after the scheduler's death": second,
+        "results when the scheduler was killed": at_kill,
+        "results after its death": second,
         "said then": lost[-1] if lost else "",
         "exit code then": process.returncode,
         "results done again": again,
@@ -297,41 +305,46 @@ def long(options, folder):
 
 
 def speed(options, folder):
-    """Throughput on one worker and two, without what compiles, and what a million records would cost."""
+    """Throughput on one worker and two, in turn, without what compiles, and what a million records would cost."""
     made.mixed_fleet(folder / "records", options.records, 0, 0, 0, options.samples)
-    found = {}
-    for workers in (1, 2):
-        out = folder / f"out{workers}"
-        process = command(
-            *fleet_of(folder / "records", out, "--workers", workers, "--no-pages", "--quiet"), stdout=subprocess.DEVNULL
-        )
-        times = []
-        while process.poll() is None:
-            # Looking takes a part of a core, too.
-            time.sleep(0.25)
-            count = done(out)
-            if not times or count > times[-1][1]:
-                times.append((time.perf_counter(), count))
-        # From when every worker has compiled: after a quarter, until the last few.
-        inside = [(t, n) for t, n in times if 0.3 * options.records <= n <= 0.95 * options.records]
-        found[workers] = (inside[-1][1] - inside[0][1]) / (inside[-1][0] - inside[0][0])
-        runs = [json.loads(pathlib.Path(p).read_text())["run"] for p in glob.glob(f"{out}/results/*.json")]
-        found[f"memory {workers}"] = max(run["memory_mib"] for run in runs)
-        # The median leaves out what compiles.
-        found[f"busy {workers}"] = float(np.median([run["processor_seconds"] for run in runs if len(run) > 2]))
+    rates, busy, memory = {1: [], 2: []}, {1: [], 2: []}, []
+    for turn in range(options.repetitions):
+        for workers in (1, 2):
+            out = folder / f"out{turn}_{workers}"
+            rates[workers].append(_rate(options, folder / "records", out, workers))
+            runs = [json.loads(pathlib.Path(p).read_text())["run"] for p in glob.glob(f"{out}/results/*.json")]
+            memory.append(max(run["memory_mib"] for run in runs))
+            # The median leaves out what compiles.
+            busy[workers].append(float(np.median([run["processor_seconds"] for run in runs if len(run) > 2])))
+            shutil.rmtree(out)
+    ratios = np.divide(rates[2], rates[1])
     return {
         "records": options.records,
         "samples of each": options.samples,
-        "records a second, one worker": found[1],
-        "records a second, two workers": found[2],
-        "ratio": found[2] / found[1],
-        "processor seconds a record, one worker": found["busy 1"],
-        "processor seconds a record, two workers": found["busy 2"],
-        "ratio by processor time, as on cores of their own": 2 * found["busy 1"] / found["busy 2"],
-        "largest memory of a worker [MiB]": max(found["memory 1"], found["memory 2"]),
-        "hours for 1e6 records on two workers": 1e6 / found[2] / 3600,
-        "processes that wanted a core, of as many cores": [os.getloadavg()[0], os.cpu_count()],
+        "records a second, one worker": rates[1],
+        "records a second, two workers": rates[2],
+        "ratios": ratios.tolist(),
+        "median ratio": float(np.median(ratios)),
+        "processor seconds a record, one worker": float(np.median(busy[1])),
+        "processor seconds a record, two workers": float(np.median(busy[2])),
+        "largest memory of a worker [MiB]": max(memory),
+        "hours for 1e6 records on two workers": 1e6 / float(np.median(rates[2])) / 3600,
+        "cores": os.cpu_count(),
     }
+
+
+def _rate(options, records, out, workers):
+    """Records a second, from when every worker has compiled, after a quarter, until the last few."""
+    process = command(*fleet_of(records, out, "--workers", workers, "--no-pages", "--quiet"), stdout=subprocess.DEVNULL)
+    times = []
+    while process.poll() is None:
+        # Looking takes a part of a core, too.
+        time.sleep(0.25)
+        count = done(out)
+        if not times or count > times[-1][1]:
+            times.append((time.perf_counter(), count))
+    inside = [(t, n) for t, n in times if 0.3 * options.records <= n <= 0.95 * options.records]
+    return (inside[-1][1] - inside[0][1]) / (inside[-1][0] - inside[0][0])
 
 
 def refusals(options, folder):
@@ -364,8 +377,9 @@ def refusals(options, folder):
 
 
 ROWS = {f.__name__: f for f in (hidden, robust, drift, healthy, long, speed, refusals)}
+REPETITIONS = {"healthy": 20, "speed": 5}
 DEFAULTS = {"hidden": (500, 3000), "robust": (500, 2000), "drift": (60, 1000), "healthy": (60, 1000)}
-DEFAULTS |= {"long": (0, 10**8), "speed": (400, 2000), "refusals": (0, 0)}
+DEFAULTS |= {"long": (0, 10**8), "speed": (2000, 2000), "refusals": (0, 0)}
 
 
 def main():
@@ -374,7 +388,7 @@ def main():
     parser.add_argument("--records", type=int, help="records, or records of each machine")
     parser.add_argument("--samples", type=int)
     parser.add_argument("--machines", type=int, default=50)
-    parser.add_argument("--repetitions", type=int, default=20)
+    parser.add_argument("--repetitions", type=int, help="of healthy machines, default 20; of speed, default 5")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--folder", type=pathlib.Path, help="kept, so that a stopped campaign goes on")
     parser.add_argument("--json", type=pathlib.Path)
@@ -385,6 +399,7 @@ def main():
         records, samples = DEFAULTS[row]
         options.records = records if arguments.records is None else arguments.records
         options.samples = samples if arguments.samples is None else arguments.samples
+        options.repetitions = arguments.repetitions or REPETITIONS.get(row, 1)
         place = arguments.folder or pathlib.Path(tempfile.mkdtemp())
         folder = place / row
         folder.mkdir(parents=True, exist_ok=True)

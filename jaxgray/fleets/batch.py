@@ -5,8 +5,6 @@ import numpy as np
 from ..identification.batch.many import identify_many
 from ..identification.batch.result import Identifications
 from ..identification.refinement.uncertainty import entry_names
-from ..identification.validation.residuals import noise_floor
-from ..mechanics.fitted_run import fitted_run
 from ..records import Record
 from ..report.export import model_document, plain
 from ..report.identification_rows import MATRICES, fit_rows, matrix_rows, mode_rows
@@ -40,13 +38,13 @@ def _document(found: Identifications, k: int, record: Record) -> dict:
     model, covariance = found.model(k), found.covariance[k]
     names = record.output_names
     errors = {name: X[k].tolist() for name, X in found.standard_errors.items()}
-    floor = noise_floor(record.y - fitted_run(model, record).simulated)
     document = {
         "schema": IDENTIFICATION,
         "model": model_document(model) | {"standard_errors": errors, "units": matrix_units(model)},
         "fit_percent": {"estimation": per_name(names, found.fit_percent[k])},
         "rmse": {"estimation": per_name(names, found.rmse[k])},
-        "noise_floor": per_name(names, floor),
+        # Of a white residual nothing can be predicted: all of it is floor.
+        "noise_floor": per_name(names, found.rmse[k]),
         "start": {
             "method": "subspace",
             "time_constant": float(found.time_constant[k]),

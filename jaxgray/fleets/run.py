@@ -26,6 +26,10 @@ from .worker import failed_result, plan, work
 BATCH = 8
 """Records of one shape that a worker identifies side by side, and loses at most where it dies."""
 
+BATCHES_A_CALL, CALLS_A_WORKER = 4, 8
+"""Batches that a worker is handed at once, at most, so that it does not wait for the next; and calls that every worker
+should have at least, so that all end at about the same time."""
+
 LOOKED_AT = 200
 """Files of a large fleet that what holds for all records is decided from."""
 
@@ -242,7 +246,7 @@ def complete(store: Store, options: Options, files, settings: Settings, engine, 
     job = Job(str(store.folder.resolve()), options, tuple(files), {}, settings.programs, settings.pages, BATCH)
     workers: AbstractEngine = engine()
     job = dataclasses.replace(job, plan=_planned(store, job, workers, progress))
-    groups = batches(left.values(), BATCH if options.together else 1)
+    groups = batches(left.values(), BATCH * _batches_a_call(len(left), workers.workers) if options.together else 1)
     jobs = [dataclasses.replace(job, files=group) for group in groups]
 
     def split(one: Job) -> list:
@@ -264,6 +268,10 @@ def complete(store: Store, options: Options, files, settings: Settings, engine, 
             raise OSError(error.errno, f"{error.strerror or error}; {text}", error.filename) from None
         raise type(error)(f"{error}; {text}." if str(error) else f"{text}.") from None
     return len(left)
+
+
+def _batches_a_call(records: int, workers: int) -> int:
+    return min(BATCHES_A_CALL, max(1, records // (BATCH * CALLS_A_WORKER * workers)))
 
 
 def _planned(store: Store, job: Job, workers: AbstractEngine, progress: AbstractProgress) -> dict:

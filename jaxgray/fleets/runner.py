@@ -179,7 +179,8 @@ def engine_of(client, scheduler: str | None, workers: int | None) -> AbstractEng
         import distributed
     except ImportError:
         raise ImportError("a fleet needs dask: pip install 'jaxgray[fleet]'.") from None
-    dask.config.set({"distributed.scheduler.allowed-failures": ROOM})
+    # The second so that waiting for workers takes no part of their cores.
+    dask.config.set({"distributed.scheduler.allowed-failures": ROOM, "distributed.admin.tick.interval": "500ms"})
     if scheduler is not None:
         try:
             found = distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)
@@ -196,8 +197,7 @@ def engine_of(client, scheduler: str | None, workers: int | None) -> AbstractEng
         n_workers=cores() if workers is None else workers,
         threads_per_worker=1,
         processes=True,
-        # Whatever port is free: several fleets may run on a machine.
-        dashboard_address="127.0.0.1:0",
+        dashboard_address=None,
         silence_logs=50,
         env=environment(),
         preload=["jaxgray.fleets.worker"],

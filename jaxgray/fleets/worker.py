@@ -16,8 +16,11 @@ SETTINGS = {
     "MKL_NUM_THREADS": "1",
     "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
     "TF_CPP_MIN_LOG_LEVEL": "3",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
 }
-"""Environment of a worker: one computing thread, and no share of a GPU's memory that another worker needs."""
+"""Environment of a worker: one computing thread, no share of a GPU's memory that another worker needs, and no looking
+at itself a hundred times a second."""
 
 ONE_THREAD = "--xla_cpu_multi_thread_eigen=false"
 """Flag of XLA by which products of matrices stay on the thread that asks for them."""
@@ -53,8 +56,16 @@ def work(job: Job) -> list[str]:
     """
     _prepare(job.programs)
     store = Store(job.folder)
+    size = job.batch if job.options.together else 1
+    for first in range(0, len(job.files), size):
+        _some(job, store, job.files[first : first + size])
+    return [key for _, key, _ in job.files]
+
+
+def _some(job: Job, store: Store, files) -> None:
+    """Results of as many files as are computed side by side."""
     waiting = []
-    for path, key, own in job.files:
+    for path, key, own in files:
         if key in store:
             continue
         read = _read(path, job)
@@ -66,7 +77,6 @@ def work(job: Job) -> list[str]:
         waiting = _together(job, store, waiting)
     for path, key, own, record, notes, means, begun in waiting:
         store.write(key, _alone(job, store, path, key, own, record, notes, means, begun))
-    return [key for _, key, _ in job.files]
 
 
 def plan(job: Job) -> dict:

@@ -20,7 +20,7 @@ from .modal import (
     undamped_modes,
 )
 from .model import MechanicalModel
-from .zeros import first_order, zeros
+from .zeros import first_order, zeros_of_pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,41 +120,45 @@ def modal_uncertainty(model: MechanicalModel, covariance) -> ModalUncertainty:
 
     **Reference:** Fox & Kapoor (1968), *Rates of change of eigenvalues and eigenvectors* (shapes).
     """
+    return ModalUncertainty(*mode_errors(model, covariance), antiresonance_errors(model, covariance))
+
+
+def mode_errors(
+    model: MechanicalModel, covariance
+) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"], Float[np.ndarray, "dofs modes"]]:
+    """Standard errors of natural frequencies [Hz], damping ratios and mode shapes; all else as `modal_uncertainty`."""
     ready()
     check_mass(model)
     covariance = _check_covariance(model, covariance)
-    entries = stacked_entries(model)
-    jacobians, (f, ratio, _) = _modal_jacobians(model, entries)
+    jacobians, (f, ratio, _) = _modal_jacobians(model, stacked_entries(model))
     f_error, ratio_error, shape_error = (_deviation(np.asarray(J), covariance) for J in jacobians)
-    rigid = np.asarray(f) == 0
-    return ModalUncertainty(
-        np.where(rigid, np.nan, f_error),
+    return (
+        np.where(np.asarray(f) == 0, np.nan, f_error),
         np.where(np.isnan(np.asarray(ratio)), np.nan, ratio_error),
         shape_error,
-        _antiresonance_errors(model, entries, covariance),
     )
 
 
-def _antiresonance_errors(model, entries, covariance):
+def antiresonance_errors(
+    model: MechanicalModel, covariance
+) -> dict[tuple[str, str], Float[np.ndarray, " antiresonances"]]:
+    """Standard errors of antiresonances [Hz] by input and output; all else as `modal_uncertainty`."""
+    covariance = _check_covariance(model, covariance)
+    pairs = zeros_of_pairs(model)
     T, A, B, C, D = first_order(model)
     found, pencils = {}, []
-    for i, source in enumerate(model.input_names):
-        for o, place in enumerate(model.output_names):
-            try:
-                pair = zeros(model, input=i, output=o)
-            except ValueError:
-                # An input that never reaches this output has no antiresonance there.
-                continue
-            z = pair.antiresonances
-            found[source, place] = np.zeros(len(z))
-            for k, value in enumerate(z * T):
-                P = np.block([[A - value * np.eye(len(A)), B[:, [i]]], [C[[o]], D[[o]][:, [i]]]])
-                pencils.append((source, place, k, i, o, value, *_null_vectors(P)))
+    for (source, place), pair in pairs.items():
+        i, o = model.input_names.index(source), model.output_names.index(place)
+        z = pair.antiresonances
+        found[source, place] = np.zeros(len(z))
+        for k, value in enumerate(z * T):
+            P = np.block([[A - value * np.eye(len(A)), B[:, [i]]], [C[[o]], D[[o]][:, [i]]]])
+            pencils.append((source, place, k, i, o, value, *_null_vectors(P)))
     if not pencils:
         return found
     sources, places, numbers, inputs, outputs, values, left, right = zip(*pencils)
     arrays = (np.array(x) for x in (values, left, right, inputs, outputs, T))
-    J = np.asarray(_zero_jacobian(model, entries, *arrays))
+    J = np.asarray(_zero_jacobian(model, stacked_entries(model), *arrays))
     values = np.array(values)[:, None]
     along = (values.conj() * J).real / np.abs(values)
     for source, place, k, error in zip(sources, places, numbers, _deviation(along, covariance)):

@@ -1,5 +1,6 @@
 """Transmission zeros of a model, and the antiresonances of one input and output."""
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,7 +84,7 @@ def transmission_zeros(model: AbstractMechanicalModel) -> Zeros:
 
     **Raises:** `ValueError` when the mass is not positive definite, or when inputs do not show separately.
     """
-    return _zeros(model, np.arange(model.inputs), np.arange(model.outputs))
+    return _zeros(model, _in_natural_units(model), np.arange(model.inputs), np.arange(model.outputs))
 
 
 def zeros(model: AbstractMechanicalModel, *, input, output) -> Zeros:
@@ -100,7 +101,20 @@ def zeros(model: AbstractMechanicalModel, *, input, output) -> Zeros:
     """
     i = _position("input", input, model.input_names)
     o = _position("output", output, model.output_names)
-    return _zeros(model, np.array([i]), np.array([o]))
+    return _zeros(model, _in_natural_units(model), np.array([i]), np.array([o]))
+
+
+def zeros_of_pairs(model: AbstractMechanicalModel) -> dict[tuple[str, str], Zeros]:
+    """Zeros from every input to every output, by their names; those that the input does not reach are left out.
+
+    **Raises:** `ValueError` when the mass is not positive definite.
+    """
+    system, found = _in_natural_units(model), {}
+    for i, source in enumerate(model.input_names):
+        for o, place in enumerate(model.output_names):
+            with contextlib.suppress(ValueError):
+                found[source, place] = _zeros(model, system, np.array([i]), np.array([o]))
+    return found
 
 
 def _position(argument: str, given, names: tuple[str, ...]) -> int:
@@ -111,14 +125,23 @@ def _position(argument: str, given, names: tuple[str, ...]) -> int:
     raise ValueError(f"{argument}={given!r} is not known; give one of {', '.join(names)} or its position from 0.")
 
 
-def _zeros(model: AbstractMechanicalModel, inputs, outputs) -> Zeros:
+def _in_natural_units(model: AbstractMechanicalModel) -> tuple[np.ndarray, ...]:
+    """`first_order`, its states scaled by the mass: units of coordinates must not decide what counts as blocked.
+
+    **Raises:** `ValueError` when the mass is not positive definite.
+    """
     ready()
     check_mass(model)
     T, A, B, C, D = first_order(model)
-    # Units of coordinates, inputs and outputs must not decide what counts as blocked.
     W = np.kron(np.eye(2), np.linalg.cholesky(np.asarray(model.mass)).T)
-    A, C = np.linalg.solve(W.T, (W @ A).T).T, np.linalg.solve(W.T, C[outputs].T).T
-    B, D = W @ B[:, inputs], D[np.ix_(outputs, inputs)]
+    return T, np.linalg.solve(W.T, (W @ A).T).T, W @ B, np.linalg.solve(W.T, C.T).T, D
+
+
+def _zeros(model: AbstractMechanicalModel, system, inputs, outputs) -> Zeros:
+    """**Raises:** `ValueError` where the inputs do not show separately in the outputs."""
+    T, A, B, C, D = system
+    B, C, D = B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)]
+    # Nor those of inputs and outputs.
     row = np.linalg.norm(np.hstack([C, D]), axis=1)
     C, D = C / np.where(row > 0, row, 1.0)[:, None], D / np.where(row > 0, row, 1.0)[:, None]
     column = np.linalg.norm(np.vstack([B, D]), axis=0)

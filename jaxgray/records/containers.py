@@ -132,7 +132,7 @@ def read_parquet(path: Path) -> Table:
         raise ImportError(f"{path.name} needs pyarrow: pip install 'jaxgray[parquet]'.") from None
 
     try:
-        table = pyarrow.parquet.read_table(path)
+        table = pyarrow.parquet.read_table(path, pre_buffer=False)
     except (pyarrow.ArrowException, OSError) as error:
         raise ValueError(f"{path.name} is no Parquet file ({one_line(error)}).") from None
 

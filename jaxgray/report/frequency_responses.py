@@ -5,6 +5,7 @@ import numpy as np
 from ..identification.result import Identification
 from ..mechanics.drives import ORDER
 from ..mechanics.modal_uncertainty import frequency_response_band
+from ..mechanics.zeros import zeros_of_pairs
 
 KIND = ("receptance", "mobility", "accelerance")
 QUANTILE_95 = 1.959964
@@ -18,13 +19,11 @@ def response_grid(result: Identification, points: int):
     nyquist = record.sampling_rate_hz / 2
     low, high = (0.2 * moving[0], 5 * moving[-1]) if len(moving) else (1 / record.duration, nyquist)
     low, high = max(low, 0.5 / record.duration), min(high, nyquist)
-    antiresonances = {}
+    zeros, antiresonances = zeros_of_pairs(model), {}
     for source in model.input_names:
         for place in model.output_names:
-            try:
-                found = model.zeros(input=source, output=place).antiresonance_hz
-            except ValueError:
-                found = np.zeros(0)
+            pair = zeros.get((source, place))
+            found = np.zeros(0) if pair is None else pair.antiresonance_hz
             antiresonances[source, place] = found[(found > low) & (found < high)]
     special = np.concatenate([moving[(moving > low) & (moving < high)], *antiresonances.values()])
     near = (special[:, None] * (1 + np.array([-0.01, -0.003, 0.0, 0.003, 0.01]))).ravel()

@@ -8,8 +8,9 @@ from jaxtyping import Float
 from ..identification.result import Identification
 from ..identification.sweep import Sweep
 from ..identification.validation.residuals import Fit
-from ..mechanics.modal_uncertainty import modal_uncertainty
+from ..mechanics.modal_uncertainty import antiresonance_errors, mode_errors
 from ..mechanics.model import MechanicalModel
+from ..mechanics.zeros import zeros_of_pairs
 from ..numerics.linear_algebra import triangle
 from ..records import Record
 from .export import model_document
@@ -142,7 +143,7 @@ def zero_errors(result: Identification) -> dict[str, list[float]] | None:
     """Standard errors of the antiresonances, in the order of `antiresonances`; None without refinement."""
     if result.covariance is None:
         return None
-    found = modal_uncertainty(result.model, result.covariance).antiresonance_hz
+    found = antiresonance_errors(result.model, result.covariance)
     return {f"{source}->{place}": errors.tolist() for (source, place), errors in found.items()}
 
 
@@ -154,13 +155,13 @@ def modes_document(result: Identification) -> list[dict]:
 def modes_of(model: MechanicalModel, covariance: Float[np.ndarray, "entries entries"] | None) -> list[dict]:
     """Every mode of a model, with standard errors where the covariance of its entries is known."""
     modes = model.modes()
-    errors = None if covariance is None else modal_uncertainty(model, covariance)
+    frequencies, ratios, _ = (None, None, None) if covariance is None else mode_errors(model, covariance)
     return [
         {
             "frequency_hz": float(modes.natural_frequency_hz[k]),
-            "frequency_standard_error": None if errors is None else float(errors.natural_frequency_hz[k]),
+            "frequency_standard_error": None if frequencies is None else float(frequencies[k]),
             "damping_ratio": float(modes.damping_ratio[k]),
-            "damping_ratio_standard_error": None if errors is None else float(errors.damping_ratio[k]),
+            "damping_ratio_standard_error": None if ratios is None else float(ratios[k]),
             "shape": modes.mode_shapes[:, k].tolist(),
         }
         for k in range(len(modes.natural_frequency_hz))
@@ -169,15 +170,12 @@ def modes_of(model: MechanicalModel, covariance: Float[np.ndarray, "entries entr
 
 def antiresonances(model: MechanicalModel) -> dict[str, list[float]]:
     """Antiresonances in Hz of every input and output, as `u1->y1`; none where the input never arrives."""
-    found = {}
-    for source in model.input_names:
-        for place in model.output_names:
-            try:
-                values = model.zeros(input=source, output=place).antiresonance_hz.tolist()
-            except ValueError:
-                values = []
-            found[f"{source}->{place}"] = values
-    return found
+    found = zeros_of_pairs(model)
+    return {
+        f"{source}->{place}": found[source, place].antiresonance_hz.tolist() if (source, place) in found else []
+        for source in model.input_names
+        for place in model.output_names
+    }
 
 
 def record_document(record: Record) -> dict:
