@@ -191,8 +191,8 @@ def row_storeys(seeds):
     return {
         "seeds": len(seeds),
         "failures": failures,
-        "all_within_three_standard_errors": within,
-        "loss_placed": placed,
+        "all_within_three_standard_errors": int(within),
+        "loss_placed": int(placed),
         "rms_over_standard_error": float(np.sqrt(np.mean(z**2))) if len(z) else None,
         "beyond_three": int(np.sum(np.abs(z) > 3)),
     }
@@ -227,7 +227,7 @@ def row_auto(seeds):
         right, more = right + (count == hidden), more + (count > hidden)
         table.append([seed, hidden, count])
     wrong = [row for row in table if row[1] != row[2]]
-    return {"records": len(seeds), "failures": failures, "right": right, "too_many": more, "wrong": wrong}
+    return {"records": len(seeds), "failures": failures, "right": int(right), "too_many": int(more), "wrong": wrong}
 
 
 # The measured motor bench.

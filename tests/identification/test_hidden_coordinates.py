@@ -223,11 +223,13 @@ def test_what_is_not_determined_has_no_number():
     assert "open" in repr(result) and any("stay open" in text for text in result.warnings)
 
 
-def test_the_exchange_of_masses_is_declared_and_never_one_answer():
+# From 3003 and 3011 one of two equally good starts is refined into a poor fit.
+@pytest.mark.parametrize("seed", [5, 3003, 3011])
+def test_the_exchange_of_masses_is_declared_and_never_one_answer(seed):
     M, D, K = np.diag([2.0, 1.0]), 0.6 * np.array([[1.0, -1], [-1, 1]]), 300 * np.array([[1.0, -1], [-1, 1]])
     A = first_order(M, D, K, 2)[0]
-    rng = np.random.default_rng(5)
-    u = np.repeat(rng.choice([-1.0, 1.0], (120, 1)), 25, axis=0)
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], (121, 1)), 25, axis=0)[:3000]
     B = np.array([[0.0], [0.0], [0.0], [1.0]])
     y = scipy.signal.dlsim(scipy.signal.cont2discrete((A, B, np.eye(1, 4), np.zeros((1, 1))), H), u)[1]
     record = jaxgray.Record(u, y + 1e-3 * rng.standard_normal(y.shape), H)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
+import scipy.linalg
 from jaxtyping import Float
 
 from ...mechanics.drives import Force
@@ -83,6 +84,10 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
     if task.request.refine:
         task.progress.stage("refining")
         task, refinements = _all_refined(task, [starts[k] for k in order], form, held)
+        if outcome.complete:
+            # From equally good starts not every refinement arrives; what equals the best one is known from it alone.
+            exchanged = _exchanged(task, family, _elements(refinements[0]), given, (best, tau, rows))
+            refinements = _no_two_alike(refinements + _refined(task, exchanged, form, held)[0])[:MOST_ALTERNATIVES]
         refinement, others = refinements[0], refinements[1:]
         if free is not None and free[2] is not None:
             saved = int((~free[4]).sum() - (~held).sum())
@@ -128,25 +133,52 @@ def _target(task: Task, best: HigherOrder, free):
 
 
 def _all_refined(task: Task, starts: list[Start], form, held) -> tuple[Task, list[Refinement]]:
-    """Refinements from equally good starts; of the ends, those as likely as the best, no two alike."""
+    """Refinements from equally good starts, no two alike."""
     task = in_windows(task, starts[0])
+    ends, failure = _refined(task, starts, form, held)
+    if not ends:
+        raise failure
+    return task, _no_two_alike(ends)
+
+
+def _refined(task: Task, starts: list[Start], form, held) -> tuple[list[Refinement], ComputationError | None]:
+    """Refinements that came to an end, and why the last other one did not."""
     ends, failure = [], None
     for start in starts:
         try:
             ends.append(refined_from(task, start, form, held))
         except ComputationError as error:
             failure = error
-    if not ends:
-        raise failure
-    least = min(end.cost for end in ends)
+    return ends, failure
+
+
+def _exchanged(task: Task, family: Family, theta, given, start) -> list[Start]:
+    """Every other set of parameters with the same transfer function."""
+    M, D, K = family.matrices(theta)
+    eye, none = np.eye(len(M)), np.zeros_like(M)
+    rates = np.abs(scipy.linalg.eigvals(np.block([[none, eye], [-K, -D]]), scipy.linalg.block_diag(eye, M)))
+    rates = rates[np.isfinite(rates)]
+    ends = matched(family, lambda s: family.response(theta[None], s)[0][0], rates, given)
+    sets = np.where(np.isfinite(given), np.nan_to_num(given), ends.parameters)
+    return [start_of(task, family.matrices(x), *start, "subspace") for x in sets if not _near(x, theta)]
+
+
+def _no_two_alike(ends: list[Refinement]) -> list[Refinement]:
+    """Those as likely as the best, the best first."""
+    ends = sorted(ends, key=lambda end: end.cost)
     kept: list[Refinement] = []
-    for end in sorted(ends, key=lambda end: end.cost):
-        if end.cost > least + AS_LIKELY:
-            continue
-        z = join([np.asarray(block) for block in end.blocks])
-        if not any(np.allclose(z, join([np.asarray(b) for b in other.blocks]), rtol=0.01) for other in kept):
+    for end in ends:
+        if end.cost <= ends[0].cost + AS_LIKELY and not any(_near(_elements(end), _elements(one)) for one in kept):
             kept.append(end)
-    return task, kept
+    return kept
+
+
+def _elements(end: Refinement) -> Float[np.ndarray, " parameters"]:
+    return join([np.asarray(block) for block in end.blocks])
+
+
+def _near(one: Float[np.ndarray, " parameters"], other: Float[np.ndarray, " parameters"]) -> bool:
+    return bool(np.allclose(one, other, rtol=0.01))
 
 
 def _element_units(task: Task, form: Structure) -> Float[np.ndarray, " parameters"]:

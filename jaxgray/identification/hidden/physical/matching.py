@@ -24,6 +24,9 @@ STEPS = (60, 40, 40, 80)
 ALIKE = 1e-2
 """Largest relative difference of parameters that counts as the same end."""
 
+NO_DAMPING = 1e-3
+"""Damping, relative to the critical one of the largest mass and spring, below which changes are changes of nothing."""
+
 EQUAL = 1e-3
 """Rise of the mean squared relative error over the best that counts as equally good."""
 
@@ -101,13 +104,13 @@ def _distinct(theta: Float[np.ndarray, "starts parameters"], cost, family: Famil
 
 
 def _alike(a: np.ndarray, b: np.ndarray, family: Family) -> bool:
-    """Whether two sets of parameters are the same; one that hardly matters beside others of its kind does not count."""
-    for power in (0, 1, 2):
-        own = family.powers == power
-        size = np.maximum(a[own], b[own])
-        if np.any(np.abs(a[own] - b[own]) > ALIKE * np.maximum(size, 1e-2 * np.max(size, initial=0.0))):
-            return False
-    return True
+    """Whether two sets of parameters are the same; one that hardly matters beside others does not count."""
+    size = np.maximum(a, b)
+    largest = np.array([np.max(size[family.powers == power], initial=0.0) for power in (0, 1, 2)])
+    # A damper matters beside what masses and springs make of it, too: alone of its kind it may go to zero.
+    floor = 1e-2 * largest
+    floor[1] = max(floor[1], NO_DAMPING * np.sqrt(largest[0] * largest[2]))
+    return bool(np.all(np.abs(a - b) <= ALIKE * np.maximum(size, floor[family.powers])))
 
 
 def _parameters(x, fixed, free):
