@@ -15,6 +15,7 @@ from ..findings import NOT_SIMULATED, Reason, Refusal, Rejected
 from ..noise.whitening import NoiseModel
 from ..screening.linearization import Stage, rows_of
 from ..screening.score_test import Score
+from ..screening.shortlist import form_of
 from .change_points import dated, softened, width_of
 from .context import SearchContext, noise_model_of
 from .continuation import ROUGH, at_the_same_steps, refit_to_convergence, sharpened
@@ -142,8 +143,9 @@ def _outright(
     best: float,
 ) -> tuple[dict[tuple[str, str], tuple[Score, Refit]], dict[tuple[str, str], tuple[float, Refit]]]:
     """Refits from the model without the candidate, under one noise model first, then those that are left to their
-    end; and the best first refits of those that are another law there, with their criterion."""
-    rough: dict[tuple[str, str], tuple[float, Score, Refit]] = {}
+    end, every form of a law by itself; and the best first refits of those that are another law there, with their
+    criterion."""
+    rough: dict[tuple, tuple[float, Score, Refit]] = {}
     unlike: dict[tuple[str, str], tuple[float, Refit]] = {}
     starts, words = [score for scores in listed for score in scores], {}
 
@@ -165,28 +167,41 @@ def _outright(
                     unlike[name] = criterion, fit
                 continue
             best = min(best, criterion)
-            if name not in rough or criterion < rough[name][0]:
-                rough[name] = criterion, score, fit
+            form = name, form_of(score)
+            if form not in rough or criterion < rough[form][0]:
+                rough[form] = criterion, score, fit
+    begun = {name for name, _ in rough}
     for scores in listed:
-        if (name := _name(scores[0])) not in rough:
+        if (name := _name(scores[0])) not in begun:
             why = Refusal(Reason.OTHER_LAW, words[name]) if name in words else NOT_SIMULATED
             rejected.append(Rejected.of(name, scores[0].delta_bic, why))
-    going: dict[tuple[str, str], tuple[Score, Refit]] = {}
-    for name, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
+    going: dict[tuple, tuple[Score, Refit]] = {}
+    for form, (criterion, score, fit) in sorted(rough.items(), key=lambda item: item[1][0]):
         if criterion > best + settings.MAX_CRITERION_GAP:
-            rejected.append(Rejected.of(name, score.delta_bic, dominated(criterion - best)))
+            rejected.append(Rejected.of(form[0], score.delta_bic, dominated(criterion - best)))
             continue
         bound = at_bound(fit, len(fit.candidate.terms) - 1, context.simulator.setup.own)
         if bound is not None and criterion > best:
-            rejected.append(Rejected.of(name, score.delta_bic, at_its_bound(bound)))
+            rejected.append(Rejected.of(form[0], score.delta_bic, at_its_bound(bound)))
             continue
-        going[name] = score, fit
+        going[form] = score, fit
 
-    def at_end(name):
+    def at_end(form):
+        name, (score, fit) = form[0], going[form]
         context.progress.stage(f"pursuing {name[0]} at {name[1]}")
-        return going[name][0], refit_to_convergence(context, going[name][1])
+        return score, refit_to_convergence(context, fit)
 
-    return dict(zip(going, side_by_side(at_end, going))), unlike
+    ends: dict[tuple[str, str], list[tuple[Score, Refit]]] = {}
+    for (name, _), end in zip(going, side_by_side(at_end, going)):
+        ends.setdefault(name, []).append(end)
+    return {name: _likeliest(context, several) for name, several in ends.items()}, unlike
+
+
+def _likeliest(context: SearchContext, ends: list[tuple[Score, Refit]]) -> tuple[Score, Refit]:
+    """The best of several refits, each under a noise model of its own."""
+    if len(ends) == 1:
+        return ends[0]
+    return min(ends, key=lambda end: noise_model_of(context, end[1]).cost + _penalty(context, end[0]))
 
 
 def _from_wider(
@@ -276,7 +291,7 @@ def _beyond(context: SearchContext, base: _Base, scores: list[Score]) -> tuple[S
     context.progress.stage(f"pursuing {name[0]} at {name[1]}")
     # A start that is ahead after a few steps need not lead to the best end.
     ends = [(score, refit_to_convergence(context, fit)) for criterion, score, fit in found if criterion <= most]
-    return min(ends, key=lambda end: noise_model_of(context, end[1]).cost + _penalty(context, end[0]))
+    return _likeliest(context, ends)
 
 
 def _followed(

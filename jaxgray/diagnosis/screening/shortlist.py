@@ -81,8 +81,27 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
             if key in table and not any(same_start(table[key], s) for s in scores):
                 scores.append(table[key])
         del scores[2:]
+        # What tells the forms of a law apart may be far from where the linear model runs.
+        scores += in_other_forms(scores, (*closer.scores, *screening.scores))
         scores += at_lines(scores[0])
     return list(chosen.values())
+
+
+def form_of(score: Score) -> tuple[float, ...]:
+    """Values of the parameters that are a choice of words, which no refit changes."""
+    shape = score.shape
+    return tuple(float(value) for p, value in zip(shape.effect.parameters, shape.values) if p.choices)
+
+
+def in_other_forms(scores: list[Score], ranked: tuple[Score, ...]) -> list[Score]:
+    """Of the same law at the same place, the best of a ranking in every form that is not among the scores yet."""
+    effect, place = scores[0].shape.effect, scores[0].shape.place
+    known, found = {form_of(score) for score in scores}, []
+    for score in ranked:
+        if score.shape.effect == effect and score.shape.place == place and form_of(score) not in known:
+            known.add(form_of(score))
+            found.append(score)
+    return found
 
 
 def at_lines(score: Score) -> list[Score]:
