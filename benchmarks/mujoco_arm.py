@@ -229,7 +229,13 @@ def _measured(simulator, found, record, other, path):
     before = simulator(other.u, none, simulator.numbers)
     # Both begin where the record does.
     after = MujocoSimulator(path, record)(other.u, none, {})
-    row = {"gain": float(100 * (1 - np.linalg.norm(other.y - after) / np.linalg.norm(other.y - before)))}
+    # In units of the noise, as the gain of a diagnosis is.
+    floor = np.array(list(found.noise_floor.values()))
+    row = {
+        "gain": float(
+            100 * (1 - np.linalg.norm((other.y - after) / floor) / np.linalg.norm((other.y - before) / floor))
+        )
+    }
     row["gain_interval"] = list(found.gain.ci95) if found.gain else None
     if all(f.effect == "parameter_error" for f in found.findings if f.stage == "model"):
         new = {s.name: s.after for s in found.shifts if any(f.location == s.name for f in found.findings)}

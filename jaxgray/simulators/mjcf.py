@@ -3,7 +3,10 @@
 **Reference:** Todorov, Erez & Tassa, *MuJoCo: A physics engine for model-based control*, IROS 2012.
 """
 
+import contextlib
+import ctypes
 import importlib
+import pathlib
 from collections.abc import Iterable
 
 import numpy as np
@@ -23,6 +26,12 @@ TENDON = {"damping": "tendon_damping", "frictionloss": "tendon_frictionloss", "s
 
 ADDED = ("damping", "frictionloss")
 """Those of them that a joint may well have, and a model lack."""
+
+LIBRARY = "libmujoco", "mujoco.dll"
+"""How the file of its library begins, beside MuJoCo's package."""
+
+DIGITS = 17
+"""Decimal digits that hold a number exactly."""
 
 PAYLOAD_RADIUS = 1e-3
 """Radius [m] of the sphere that a payload is."""
@@ -97,6 +106,30 @@ def compiled(path: str, numbers: Iterable[str] = ()):
         return spec.compile()
     except (ValueError, FileNotFoundError) as error:
         raise ValueError(f"{path}: MuJoCo does not read it: {error}") from error
+
+
+def written(spec) -> str:
+    """A model as XML."""
+    with _all_digits():
+        return spec.to_xml()
+
+
+@contextlib.contextmanager
+def _all_digits():
+    """MuJoCo writes six digits; here all of them, where its library lets their number be set."""
+    folder = pathlib.Path(library().__file__).parent
+    try:
+        file = next(path for path in folder.iterdir() if path.name.startswith(LIBRARY))
+        setting = ctypes.CDLL(str(file))
+        before = setting._mjPRIVATE__get_xml_precision()
+        setting._mjPRIVATE__set_xml_precision(DIGITS)
+    except (StopIteration, OSError, AttributeError):
+        yield
+        return
+    try:
+        yield
+    finally:
+        setting._mjPRIVATE__set_xml_precision(before)
 
 
 def _payload(spec, name: str):

@@ -130,7 +130,7 @@ class MujocoSimulator:
             if mjcf.writes(spec, f.effect, f.location, _values(f)):
                 mjcf.write_law(spec, f.effect, f.location, _values(f))
         spec.compile()
-        return spec.to_xml()
+        return mjcf.written(spec)
 
     def _check(self) -> None:
         model = self.model

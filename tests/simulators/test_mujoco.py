@@ -145,8 +145,8 @@ def test_a_payload_is_written_wherever_its_site_is(arm, tmp_path, how):
         found.shifts[0].after = mass
         expected = simulator(record.u, none, {"tip.payload": mass})
         path.write_text(MujocoSimulator(path, record).mended(found))
-        np.testing.assert_allclose(MujocoSimulator(path, record)(record.u, none, {}), expected, atol=1e-6)
-        assert MujocoSimulator(path, record).numbers["tip.payload"] == pytest.approx(mass, rel=1e-5)
+        np.testing.assert_allclose(MujocoSimulator(path, record)(record.u, none, {}), expected, atol=1e-9)
+        assert MujocoSimulator(path, record).numbers["tip.payload"] == pytest.approx(mass, rel=1e-12)
 
 
 def test_a_payload_that_was_not_among_the_numbers_is_refused(arm):
@@ -213,7 +213,7 @@ def test_what_was_found_is_written_back(arm, tmp_path):
     mended = MujocoSimulator(out, record)
     reference = MujocoSimulator(path, record, [*wanted, "elbow.frictionloss"])
     expected = reference(record.u, 0 * record.u, wanted | {"elbow.frictionloss": 0.03})
-    np.testing.assert_allclose(mended(record.u, 0 * record.u, {}), expected, atol=1e-6)
+    np.testing.assert_allclose(mended(record.u, 0 * record.u, {}), expected, atol=1e-9)
     # What was not found off stays.
     found.findings = []
     assert simulator.unwritten(found) == ()
