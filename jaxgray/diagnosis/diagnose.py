@@ -123,6 +123,8 @@ def diagnose(
     progress = Budgeted(Silent() if progress is None else progress, budget)
     if not isinstance(max_effects, int) or max_effects < 0:
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
+    if options.get("hidden", 0) != 0:
+        raise ValueError(f"hidden={options['hidden']!r}: a diagnosis takes one coordinate per output; leave it out.")
     searched = chosen_effects(catalogue, only, exclude)
     if simulated is not None:
         judged = {"model": model, "simulator": simulator, "parameters": parameters}

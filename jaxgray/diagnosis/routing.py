@@ -140,18 +140,17 @@ def asked_of_forces(
 def force_equation_trials(
     records: list[Record], catalogue: tuple[AbstractEffect, ...], progress: AbstractProgress, options: dict
 ) -> Callable[[], list[Trial]] | None:
-    """Trials of the force equation for the first law, on an accelerated base or where accelerations are integrated:
-    starts of refits alone.
+    """Trials of the force equation for the first law: starts of refits alone.
 
     **Arguments:** as `begin`.
 
-    **Returns:** a function without arguments, which looks once however often it is called; None where it does not
-    apply.
+    **Returns:** a function without arguments, which looks once however often it is called; None where the equation is
+    not known: on a base known by its displacement, and where accelerations jump at the samples.
     """
     drive = drive_by(records[0], options)
     based = isinstance(drive, BaseAcceleration)
     # Under a zero-order hold accelerations jump at the samples, and their integrals are late by half of one.
-    pushed = isinstance(drive, Force) and "acceleration" in records[0].measured and records[0].hold == "linear"
+    pushed = isinstance(drive, Force) and ("acceleration" not in records[0].measured or records[0].hold == "linear")
     if not based and not pushed:
         return None
 

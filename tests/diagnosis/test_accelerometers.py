@@ -188,7 +188,8 @@ def test_what_the_force_equation_would_add_is_asked_for_only_while_there_is_time
     assert force_equation_trials([record], laws, Budgeted(Silent(), 1e-9), options)() == []
     short = force_equation_trials([record[:300]], laws, Silent(), options)
     assert short() == []
-    assert force_equation_trials([jaxgray.Record(record.u, record.y, H)], laws, Silent(), {}) is None
+    jumping = jaxgray.Record(record.u, record.y, H, measured="acceleration")
+    assert force_equation_trials([jumping], laws, Silent(), {}) is None
 
 
 def test_of_laws_that_differ_in_their_name_alone_one_is_refitted_at_every_place(monkeypatch):

@@ -2,11 +2,16 @@
 
 from types import SimpleNamespace
 
+import hidden_draws as draws
 import numpy as np
+import pytest
+from hidden_laws import Effect
+from hidden_simulation import simulate
 
+import jaxgray
 from jaxgray.diagnosis.screening.features import Shape
 from jaxgray.diagnosis.screening.score_test import Score, Screening
-from jaxgray.diagnosis.screening.shortlist import shortlist
+from jaxgray.diagnosis.screening.shortlist import in_other_forms, shortlist
 from jaxgray.diagnosis.starts.lookalikes import at_other_places
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place
@@ -51,3 +56,42 @@ def test_the_law_of_the_best_is_looked_for_at_its_other_places():
     tried = {("stiffness_step", "y1-y4"), ("stiffness_step", "y4")}
     listed = names(at_other_places(best, table, screening([], []), tried))
     assert listed == [("stiffness_step", "y1-y2"), ("stiffness_step", "y2")]
+
+
+def test_a_law_begins_in_each_of_its_forms_at_its_own_place():
+    def limit(form, place="u1"):
+        one = score("speed_force_limit", place, 50.0)
+        values = np.array([2.0, 1.0, form])
+        return Score(
+            Shape(one.shape.effect, one.shape.place, values, (values,), 1, SCALES), *list(vars(one).values())[1:]
+        )
+
+    ranked = (limit(1.0), limit(0.0, "u2"), limit(0.0), limit(1.0), limit(0.0))
+    assert in_other_forms([ranked[0]], ranked) == [ranked[2]]
+    assert in_other_forms([ranked[0], ranked[2]], ranked) == []
+
+
+def test_friction_that_takes_the_free_run_out_of_step_begins_with_the_force_equation():
+    # Scores along the linear model's run lead to a wrong size and nothing that holds.
+    rng = np.random.default_rng([201, 21])
+    system, h, samples = draws.random_system(rng, 1), 0.01, 1500
+    level, mu = draws.log_uniform(rng, 0.3, 30.0), rng.uniform(0.05, 0.25)
+    records = []
+    for load in (1.0, 3.0, 1.0, 3.0):
+        u = load * level * np.where(draws.steps(rng, samples) > 0, 1.0, -1.0)[:, None]
+        y = simulate(system, u, h, [Effect("load_friction", "u1", {"mu": mu})])
+        records.append(jaxgray.Record(u, y + rng.uniform(0.005, 0.02) * y.std() * rng.standard_normal(y.shape), h))
+    laws = ["load_friction", "coulomb_friction", "stribeck_friction"]
+    found = jaxgray.diagnose(records[:2], validation=records[2:], only=laws)
+    assert [(one.effect, one.location) for one in found.findings] == [
+        ("load_friction", "u1")
+    ] and found.verdict == "named"
+    size = found.findings[0].parameters["mu"]
+    assert abs(size.value - mu) < 4 * size.standard_error < 0.01
+
+
+@pytest.mark.parametrize("hidden", [1, "auto", ["load"]])
+def test_coordinates_without_a_sensor_are_refused(hidden):
+    record = jaxgray.Record(np.ones((300, 1)), np.ones((300, 1)), 0.01)
+    with pytest.raises(ValueError, match="hidden=.* one coordinate per output"):
+        jaxgray.diagnose(record, hidden=hidden)
