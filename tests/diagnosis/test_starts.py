@@ -81,7 +81,7 @@ def test_friction_that_takes_the_free_run_out_of_step_begins_with_the_force_equa
         u = load * level * np.where(draws.steps(rng, samples) > 0, 1.0, -1.0)[:, None]
         y = simulate(system, u, h, [Effect("load_friction", "u1", {"mu": mu})])
         records.append(jaxgray.Record(u, y + rng.uniform(0.005, 0.02) * y.std() * rng.standard_normal(y.shape), h))
-    laws = ["load_friction", "coulomb_friction", "stribeck_friction"]
+    laws = ["load_friction", "coulomb_friction"]
     found = jaxgray.diagnose(records[:2], validation=records[2:], only=laws)
     assert [(one.effect, one.location) for one in found.findings] == [
         ("load_friction", "u1")
