@@ -54,7 +54,14 @@ from .model.simulator import Simulator, steps_of
 from .noise.floor import independent_floor, residual_rms
 from .own_simulator import diagnose_simulator
 from .result import Diagnosis
-from .routing import asked_of_forces, begin, by_force_equation, force_equation_trials, may_come_into_step
+from .routing import (
+    asked_of_forces,
+    begin,
+    by_accelerations,
+    by_force_equation,
+    force_equation_trials,
+    may_come_into_step,
+)
 from .screening.flexible_force import FlexibleForce
 from .search.forward import recount
 from .search.modal_restart import from_other_modes
@@ -123,8 +130,9 @@ def diagnose(
     progress = Budgeted(Silent() if progress is None else progress, budget)
     if not isinstance(max_effects, int) or max_effects < 0:
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
-    if options.get("hidden", 0) != 0:
-        raise ValueError(f"hidden={options['hidden']!r}: a diagnosis takes one coordinate per output; leave it out.")
+    hidden = options.get("hidden", 0)
+    if isinstance(hidden, str) or (np.size(hidden) and np.any(hidden != 0)):
+        raise ValueError(f"hidden={hidden!r}: a diagnosis takes one coordinate per output; leave it out.")
     searched = chosen_effects(catalogue, only, exclude)
     if simulated is not None:
         judged = {"model": model, "simulator": simulator, "parameters": parameters}
@@ -227,6 +235,7 @@ def _of_clean_records(
         progress,
         forces=asked_of_forces(records, held, identification, searched, max_effects, seed, progress, options),
         first_trials=None if identification is None else force_equation_trials(records, searched, progress, options),
+        trials_at_once=by_accelerations(records, options),
         out_of_step=identification is not None and may_come_into_step(identification),
     )
     if model is not None:

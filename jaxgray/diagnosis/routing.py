@@ -160,10 +160,16 @@ def force_equation_trials(
             progress.stage("looking in the force equation")
             relative, forces, mass = as_forces(records, drive) if based else (records, drive, None)
             return first_trials(relative, forces, catalogue, mass, progress)
-        except (ComputationError, BudgetSpent, np.linalg.LinAlgError):
+        except (ComputationError, BudgetSpent, np.linalg.LinAlgError, ValueError):
+            # A record that shows it nothing, such as an output that never moves, is no reason to stop.
             return []
 
     return trials
+
+
+def by_accelerations(records: list[Record], options: dict) -> bool:
+    """Whether accelerations are measured, or move the base: there strong laws are lost to the free run."""
+    return "acceleration" in records[0].measured or isinstance(drive_by(records[0], options), BaseAcceleration)
 
 
 def may_come_into_step(identification: Identification) -> bool:

@@ -179,8 +179,9 @@ def engine_of(client, scheduler: str | None, workers: int | None) -> AbstractEng
         import distributed
     except ImportError:
         raise ImportError("a fleet needs dask: pip install 'jaxgray[fleet]'.") from None
-    # The second so that waiting for workers takes no part of their cores.
-    dask.config.set({"distributed.scheduler.allowed-failures": ROOM, "distributed.admin.tick.interval": "500ms"})
+    # Workers are begun with this configuration; looking at itself a hundred times a second takes a part of a core.
+    quiet = {"distributed.admin.tick.interval": "500ms", "distributed.worker.profile.enabled": False}
+    dask.config.set({"distributed.scheduler.allowed-failures": ROOM} | quiet)
     if scheduler is not None:
         try:
             found = distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)

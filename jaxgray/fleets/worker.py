@@ -16,11 +16,8 @@ SETTINGS = {
     "MKL_NUM_THREADS": "1",
     "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
     "TF_CPP_MIN_LOG_LEVEL": "3",
-    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
-    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
 }
-"""Environment of a worker: one computing thread, no share of a GPU's memory that another worker needs, and no looking
-at itself a hundred times a second."""
+"""Environment of a worker: one computing thread, and no share of a GPU's memory that another worker needs."""
 
 ONE_THREAD = "--xla_cpu_multi_thread_eigen=false"
 """Flag of XLA by which products of matrices stay on the thread that asks for them."""

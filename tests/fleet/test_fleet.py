@@ -1,5 +1,6 @@
 """A fleet from files to tables and pages, on an executor of this process; spoilt records say why."""
 
+import dataclasses
 import json
 import shutil
 
@@ -190,3 +191,29 @@ def test_the_command_starts_workers_of_its_own(records, tmp_path):
     told = json.loads((tmp_path / "s.json").read_text())
     assert told["outcomes"] == {"failed": 2} and told["computed"] == 2
     assert jaxgray.fleet is fleet
+
+
+def test_a_worker_is_handed_several_batches_where_all_have_enough_to_do():
+    from jaxgray.fleets.run import BATCH, BATCHES_A_CALL, CALLS_A_WORKER, _batches_a_call
+
+    assert _batches_a_call(1, 2) == _batches_a_call(BATCH * CALLS_A_WORKER * 2, 2) == 1
+    assert _batches_a_call(3 * BATCH * CALLS_A_WORKER, 1) == 3
+    assert _batches_a_call(10**6, 2) == BATCHES_A_CALL
+
+
+def test_a_call_of_several_batches_does_all_of_them(records, done, tmp_path):
+    from jaxgray.fleets.tasks import Job, Options
+    from jaxgray.fleets.worker import plan, work
+
+    files = tuple((str(records / f"m{k % 2}_{k}.npz"), f"key{k}", {}) for k in range(4))
+    Store(tmp_path).open()
+    reading = {name: list(columns) for name, columns in CHANNELS.items()}
+    job = Job(str(tmp_path), Options("identify", reading, FIT), files, {}, None, False, 2)
+    job = dataclasses.replace(job, plan=plan(job))
+    assert work(job) == [key for _, key, _ in files]
+    for path, key, _ in files:
+        found, before = Store(tmp_path).read(key), done.result(path)
+        assert found["failure"] is None
+        np.testing.assert_allclose(
+            found["document"]["model"]["stiffness"], before["document"]["model"]["stiffness"], rtol=1e-6
+        )

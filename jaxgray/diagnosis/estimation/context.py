@@ -29,7 +29,8 @@ class SearchContext:
     that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
     of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
     `forces`: gives what the force equation finds (None where it has no solution), where it may be asked;
-    `first_trials`: gives its trials of the first law, where they only start refits; `out_of_step`: whether the free run
+    `first_trials`: gives its trials of the first law, where they only start refits, at once or where
+    nothing else leaves but noise; `out_of_step`: whether the free run
     is of no use unless what the force equation says brings it into step; `white`: whether the noise is taken for white
     whatever a refit leaves, not estimated with it.
     """
@@ -47,6 +48,7 @@ class SearchContext:
     identified: "Identified | None" = None
     forces: "Callable[[], Search | None] | None" = None
     first_trials: "Callable[[], list[Trial]] | None" = None
+    trials_at_once: bool = False
     out_of_step: bool = False
     white: bool = False
 

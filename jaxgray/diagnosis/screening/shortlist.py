@@ -96,9 +96,12 @@ def form_of(score: Score) -> tuple[float, ...]:
 def in_other_forms(scores: list[Score], ranked: tuple[Score, ...]) -> list[Score]:
     """Of the same law at the same place, the best of a ranking in every form that is not among the scores yet."""
     effect, place = scores[0].shape.effect, scores[0].shape.place
+    if not any(p.choices for p in effect.parameters):
+        return []
     known, found = {form_of(score) for score in scores}, []
     for score in ranked:
-        if score.shape.effect == effect and score.shape.place == place and form_of(score) not in known:
+        same = score.shape.effect.id == effect.id and score.shape.place.name == place.name
+        if same and form_of(score) not in known:
             known.add(form_of(score))
             found.append(score)
     return found

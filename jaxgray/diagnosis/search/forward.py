@@ -144,7 +144,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
 def _tried_by_forces(context: SearchContext, state: SearchState, left: int) -> bool:
     """Whether the force equation has trials of a first law, and the free run is out of step: then all that is left may
     pass for noise."""
-    first = left > 0 and context.out_of_step and not state.stage.candidate.terms
+    first = left > 0 and context.trials_at_once and context.out_of_step and not state.stage.candidate.terms
     return first and context.first_trials is not None and bool(context.first_trials())
 
 

@@ -77,7 +77,7 @@ def search(
         if state.unexplained:
             break
         size *= LONGER
-    if context.first_trials is not None and context.forces is None:
+    if context.first_trials is not None and context.trials_at_once:
         missed = missed_share(context.simulator, start, context.data[0])
         context = dataclasses.replace(context, out_of_step=missed >= settings.OUT_OF_STEP)
     state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))

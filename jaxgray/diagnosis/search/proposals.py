@@ -11,7 +11,7 @@ from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
 from ..estimation.profile_scan import predictable
 from ..findings import Reason, Rejected
 from ..model.own_laws import told_apart
-from ..noise.whitening import estimate_noise_model, white_noise_model
+from ..noise.whitening import estimate_noise_model, white_noise_model, white_part
 from ..screening.linearization import Stage, screen_simulated, screen_smoothed
 from ..screening.score_test import Screening
 from ..screening.shortlist import adds_mode, listed_with, shortlist
@@ -37,11 +37,15 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     noise_model = closer.noise_model if closer.shows else white_noise_model(stage.e, context.data[0].kept, stage.system)
     listed = listed_with(shortlist(screening, closer), wrong_entries(context, stage, screening))
     known = changes_over_time(context, stage, screening)
-    known |= {a.name: (a.score, a.fit) for a in from_first_trials(context, stage, screening)}
+    if context.trials_at_once:
+        known |= {a.name: (a.score, a.fit) for a in from_first_trials(context, stage, screening)}
     listed = [scores for scores in listed if (scores[0].shape.effect.id, scores[0].shape.place.name) not in known]
     attempts = attempts_of(context, stage, listed, noise_model, state.rejected, known)
     ranked = compared(context, stage, list(attempts.values()))
-    if forced := from_forces(context, stage, screening):
+    forced = from_forces(context, stage, screening)
+    if not (context.trials_at_once or context.white) and _leaves_more_than_noise(context, ranked):
+        forced += from_first_trials(context, stage, screening)
+    if forced:
         ranked = _better_ones(compared(context, stage, ranked + forced))
     if ranked:
         late, tried, behind = _look_alikes_tried(context, state, ranked, (closer, screening), before)
@@ -57,6 +61,17 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
         ranked = simplified(_better_ones(compared(context, stage, ranked + late))) if late else ranked
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
+
+
+def _leaves_more_than_noise(context: SearchContext, ranked: list[Attempt]) -> bool:
+    """Whether the best refit leaves more than what no motion explains, or there is none."""
+    if not ranked:
+        return True
+    data = context.data[0]
+    kept, e = data.kept[: data.samples], ranked[0].fit.residual[0][: data.samples]
+    e = np.where(kept, e, 0.0)
+    power = np.sum(e**2, axis=0) / np.maximum(kept.sum(axis=0), 1)
+    return bool(np.any(power > settings.STAND_IN_EXCESS**2 * white_part(e, kept)))
 
 
 def _look_alikes_tried(

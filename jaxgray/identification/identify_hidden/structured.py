@@ -29,7 +29,7 @@ from .elements import elements_of, undetermined_entries
 from .task import Task, assessed, collocated, in_windows, merit, model_of, refined_from, start_of
 
 MOST_ALTERNATIVES = 4
-"""Equally good sets of parameters that are refined."""
+"""Equally good sets of parameters that are refined first, and that are kept."""
 
 POOR_MATCH = 1e-4
 """Mean squared relative error of a structure's transfer function from which the slowest poles are not trusted."""
