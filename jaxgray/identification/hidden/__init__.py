@@ -19,6 +19,7 @@ from .physical import Connected as Connected
 from .physical import Connections as Connections
 from .physical import Determinacy as Determinacy
 from .physical import Family as Family
+from .physical import alike as alike
 from .physical import determinacy as determinacy
 from .physical import fixed_elements as fixed_elements
 from .physical import is_connections as is_connections

@@ -14,6 +14,7 @@ from ..hidden import (
     Family,
     HiddenEvidence,
     HigherOrder,
+    alike,
     determinacy,
     fixed_elements,
     matched,
@@ -83,11 +84,12 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
     refinement, others = None, []
     if task.request.refine:
         task.progress.stage("refining")
-        task, refinements = _all_refined(task, [starts[k] for k in order], form, held)
+        task, refinements = _all_refined(task, family, [starts[k] for k in order], form, held)
         if outcome.complete:
             # From equally good starts not every refinement arrives; what equals the best one is known from it alone.
             exchanged = _exchanged(task, family, _elements(refinements[0]), given, (best, tau, rows))
-            refinements = _no_two_alike(refinements + _refined(task, exchanged, form, held)[0])[:MOST_ALTERNATIVES]
+            refinements += _refined(task, exchanged, form, held)[0]
+            refinements = _no_two_alike(refinements, family)[:MOST_ALTERNATIVES]
         refinement, others = refinements[0], refinements[1:]
         if free is not None and free[2] is not None:
             saved = int((~free[4]).sum() - (~held).sum())
@@ -132,13 +134,13 @@ def _target(task: Task, best: HigherOrder, free):
     return lambda s: realized_response(A, B, C, Dy, s), np.abs(np.linalg.eigvals(A))
 
 
-def _all_refined(task: Task, starts: list[Start], form, held) -> tuple[Task, list[Refinement]]:
+def _all_refined(task: Task, family: Family, starts: list[Start], form, held) -> tuple[Task, list[Refinement]]:
     """Refinements from equally good starts, no two alike."""
     task = in_windows(task, starts[0])
     ends, failure = _refined(task, starts, form, held)
     if not ends:
         raise failure
-    return task, _no_two_alike(ends)
+    return task, _no_two_alike(ends, family)
 
 
 def _refined(task: Task, starts: list[Start], form, held) -> tuple[list[Refinement], ComputationError | None]:
@@ -160,25 +162,22 @@ def _exchanged(task: Task, family: Family, theta, given, start) -> list[Start]:
     rates = rates[np.isfinite(rates)]
     ends = matched(family, lambda s: family.response(theta[None], s)[0][0], rates, given)
     sets = np.where(np.isfinite(given), np.nan_to_num(given), ends.parameters)
-    return [start_of(task, family.matrices(x), *start, "subspace") for x in sets if not _near(x, theta)]
+    return [start_of(task, family.matrices(x), *start, "subspace") for x in sets if not alike(x, theta, family)]
 
 
-def _no_two_alike(ends: list[Refinement]) -> list[Refinement]:
+def _no_two_alike(ends: list[Refinement], family: Family) -> list[Refinement]:
     """Those as likely as the best, the best first."""
     ends = sorted(ends, key=lambda end: end.cost)
     kept: list[Refinement] = []
     for end in ends:
-        if end.cost <= ends[0].cost + AS_LIKELY and not any(_near(_elements(end), _elements(one)) for one in kept):
+        same = (alike(_elements(end), _elements(one), family) for one in kept)
+        if end.cost <= ends[0].cost + AS_LIKELY and not any(same):
             kept.append(end)
     return kept
 
 
 def _elements(end: Refinement) -> Float[np.ndarray, " parameters"]:
     return join([np.asarray(block) for block in end.blocks])
-
-
-def _near(one: Float[np.ndarray, " parameters"], other: Float[np.ndarray, " parameters"]) -> bool:
-    return bool(np.allclose(one, other, rtol=0.01))
 
 
 def _element_units(task: Task, form: Structure) -> Float[np.ndarray, " parameters"]:

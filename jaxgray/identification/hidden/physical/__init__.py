@@ -6,6 +6,7 @@ from .connections import fixed_elements as fixed_elements
 from .connections import is_connections as is_connections
 from .determinacy import Determinacy as Determinacy
 from .determinacy import determinacy as determinacy
+from .matching import alike as alike
 from .matching import matched as matched
 from .transfer import Family as Family
 from .transfer import realized_response as realized_response

@@ -98,12 +98,12 @@ def _distinct(theta: Float[np.ndarray, "starts parameters"], cost, family: Famil
     for k in np.argsort(cost):
         if len(kept) == MOST_ENDS:
             break
-        if not kept or (np.isfinite(cost[k]) and not any(_alike(theta[k], theta[other], family) for other in kept)):
+        if not kept or (np.isfinite(cost[k]) and not any(alike(theta[k], theta[other], family) for other in kept)):
             kept.append(int(k))
     return kept
 
 
-def _alike(a: np.ndarray, b: np.ndarray, family: Family) -> bool:
+def alike(a: np.ndarray, b: np.ndarray, family: Family) -> bool:
     """Whether two sets of parameters are the same; one that hardly matters beside others does not count."""
     size = np.maximum(a, b)
     largest = np.array([np.max(size[family.powers == power], initial=0.0) for power in (0, 1, 2)])
