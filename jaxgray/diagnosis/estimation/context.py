@@ -29,8 +29,8 @@ class SearchContext:
     that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
     of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
     `forces`: gives what the force equation finds (None where it has no solution), where it may be asked;
-    `first_trials`: gives its trials of the first law, where they only start refits, at once or where
-    nothing else leaves but noise; `out_of_step`: whether the free run
+    `first_trials`: gives its trials of the first law, where they only start refits; `trials_at_once`: whether those are
+    refitted with the first candidates, not only where these leave more than noise; `out_of_step`: whether the free run
     is of no use unless what the force equation says brings it into step; `white`: whether the noise is taken for white
     whatever a refit leaves, not estimated with it.
     """
