@@ -14,6 +14,7 @@ from .arguments import (
     OwnSimulator,
     Reporting,
     Talk,
+    hidden_of,
     takes_groups,
     words,
 )
@@ -68,6 +69,8 @@ def diagnose(
 
         if simulating.simulator is None:
             options |= {"structure": words(fitting.structure), "fix": fitting.fix, "noise": fitting.noise}
+            if fitting.hidden is not None:
+                options["hidden"] = hidden_of(fitting.hidden)
         elif files.is_mujoco(simulating.simulator) or files.is_fmu(simulating.simulator):
             own = files.other_program(simulating.simulator, record, simulating.parameters, simulating.forces)
             options = {"simulator": own, "parameters": own.numbers, "workers": simulating.workers}
@@ -128,10 +131,11 @@ def checked(fitting: Fitting, diagnosing: Diagnosing) -> None:
     """Raise `ValueError` for options that do not go together, or numbers that are none."""
     if fitting.no_refine:
         raise ValueError("--no-refine: a diagnosis needs the refined model; leave the option out.")
-    if fitting.hidden is not None:
-        raise ValueError("--hidden: a diagnosis takes one coordinate per output; leave the option out, or identify.")
-    if diagnosing.model is not None and (fitting.structure, fitting.fix) != (None, None):
-        raise ValueError("--structure and --fix are about a model that is fitted; leave them out with --model.")
+    fitted = fitting.structure, fitting.fix, fitting.hidden
+    if diagnosing.model is not None and fitted != (None, None, None):
+        raise ValueError(
+            "--structure, --fix and --hidden are about a model that is fitted; leave them out with --model."
+        )
     if diagnosing.max_effects < 0:
         raise ValueError(f"--max-effects={diagnosing.max_effects} is negative; give a whole number from 0.")
     if diagnosing.budget is not None and not diagnosing.budget > 0:

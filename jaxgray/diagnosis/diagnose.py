@@ -44,7 +44,7 @@ from .data_checks.sample_size import check_enough
 from .estimation.context import SearchContext
 from .estimation.measured_motion import FORCES
 from .findings import Finding
-from .model.baseline import ADOPTED, baseline_of
+from .model.baseline import ADOPTED, baseline_of, others_of
 from .model.candidate import Data
 from .model.compile_ahead import compiling_ahead
 from .model.free_run import FreeRun, overall
@@ -69,6 +69,12 @@ from .search.parts import Searched, search
 from .search.state import SearchState
 from .simulated_outputs import as_if_measured, stand_in
 from .starts.user_model import identified, with_first_states
+
+NO_PLACES = (
+    "Without a structure hidden coordinates are those of the canonical form, which are no places: laws were looked for "
+    "at the measured ones alone. Name the connections, such as structure='y1-h1, h1-ground', to look at all."
+)
+"""What is said of a diagnosis with hidden coordinates in the canonical form."""
 
 PASSES = 3
 """Times that outliers are looked for in what the linear model leaves."""
@@ -117,7 +123,8 @@ def diagnose(
     - `budget` [s]: time from the call after which the search ends with the best that was accepted until then; the
       linear fit, the refit in work and the summing up are finished all the same. Default no limit.
     - `progress`: told of every stage; silent by default.
-    - `options`: as for `identify` (excitation, input_map, structure, fix, time_constants, …).
+    - `options`: as for `identify` (excitation, input_map, structure, fix, hidden, time_constants, …). With `hidden`
+        coordinates and the connections of a structure, laws are looked for between and at hidden ones as well.
 
     **Returns:** a `Diagnosis`.
 
@@ -130,10 +137,10 @@ def diagnose(
     progress = Budgeted(Silent() if progress is None else progress, budget)
     if not isinstance(max_effects, int) or max_effects < 0:
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
-    hidden = options.get("hidden", 0)
-    if isinstance(hidden, str) or (np.size(hidden) and np.any(hidden != 0)):
-        raise ValueError(f"hidden={hidden!r}: a diagnosis takes one coordinate per output; leave it out.")
     searched = chosen_effects(catalogue, only, exclude)
+    judged = {"model": model, "simulator": simulator, "simulated": simulated}
+    if others := [name for name, value in judged.items() if value is not None and "hidden" in options]:
+        raise ValueError(f"hidden is about a model that is fitted; leave it out with {others[0]}.")
     if simulated is not None:
         judged = {"model": model, "simulator": simulator, "parameters": parameters}
         if given := [name for name, value in judged.items() if value is not None]:
@@ -220,6 +227,7 @@ def _of_clean_records(
         records, held = from_zero[: len(records)], from_zero[len(records) :]
     baseline = baseline_of(records, identification, model)
     floor, source = independent_floor(records[0])
+    fitted, unseen = identification is not None, bool(baseline.model.hidden)
     data = [Data.of(r) for r in records]
     longest = max(len(d.u) for d in data)
     context = SearchContext(
@@ -234,9 +242,10 @@ def _of_clean_records(
         np.random.default_rng(seed),
         progress,
         forces=asked_of_forces(records, held, identification, searched, max_effects, seed, progress, options),
-        first_trials=None if identification is None else force_equation_trials(records, searched, progress, options),
+        first_trials=force_equation_trials(records, searched, progress, options) if fitted and not unseen else None,
         trials_at_once=by_accelerations(records, options),
-        out_of_step=identification is not None and may_come_into_step(identification),
+        out_of_step=fitted and may_come_into_step(identification),
+        others=others_of(records, identification, baseline.setup),
     )
     if model is not None:
         context = dataclasses.replace(context, identified=identified(context.simulator, records, context.data, options))
@@ -244,7 +253,7 @@ def _of_clean_records(
     errors = MODEL_ERRORS + parameter_errors(baseline.setup.own) if baseline.own else ()
 
     state, searched = search(context, baseline, max_effects, errors=errors)
-    if identification is not None:
+    if fitted and not unseen:
         with contextlib.suppress(BudgetSpent):
             from_other_modes(context, state, identification, records)
     progress.unlimited.stage("summing up")
@@ -254,6 +263,8 @@ def _of_clean_records(
     found = by_force_equation(found, context.forces)
     if searched.where is not None:
         anew += (f"{searched.where}; every number is of the refit on the whole record.",)
+    if not baseline.setup.physical and baseline.setup.hidden:
+        anew += (NO_PLACES,)
     warnings = baseline.left_out + anew + beyond_the_fit(records, held) + found.warnings
     return dataclasses.replace(found, findings=outliers + found.findings, warnings=warnings)
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..identification import Identification, identify
+from ..identification.identify_hidden import wants_hidden
 from ..identification.setup.options import drive_by
 from ..identification.validation.structure_test import ROUNDING
 from ..mechanics.drives import AbstractDrive, BaseAcceleration, Force
@@ -72,6 +73,12 @@ def begin(
         failure = error
         if any(error.result == one for one in NOT_MENDED) or not any(np.any(record.u) for record in records):
             raise
+    unseen = wants_hidden(options.get("hidden", 0), options.get("structure"), records[0].output_names)
+    if failure is not None and unseen:
+        raise failure
+    if identification is not None and identification.model.hidden:
+        # Every other way needs the motion of all coordinates.
+        return identification
     rng = np.random.default_rng(seed)
     route = route_of(records, identification, drive)
     if route == "static gain":
@@ -119,7 +126,9 @@ def asked_of_forces(
     **Returns:** a function without arguments, which searches once however often it is called and gives None where the
     force equation has no solution; None where it does not apply.
     """
-    if identification is None or not (worst_fit(identification) < settings.USABLE_FIT or _far(records, identification)):
+    if identification is None or identification.model.hidden:
+        return None
+    if not (worst_fit(identification) < settings.USABLE_FIT or _far(records, identification)):
         return None
     drive = drive_by(records[0], options)
     if not isinstance(drive, Force) or "acceleration" in records[0].measured:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..diagnosis.words.titles import place_of
+from ..report.diagnosis_rows import coordinate_names
 from ..report.identification_rows import MATRICES
 from .drift.series import Naming
 from .store import Store, write_whole
@@ -78,7 +79,7 @@ def _diagnosed(document: dict) -> dict:
     named = [one for one in document["findings"] if one["stage"] == "model" and one["status"] != "unexplained"]
     seen = named or document["findings"]
     part = document["extended"] or document["baseline"]
-    names = tuple(document["baseline"]["model"]["output_names"])
+    names = coordinate_names(document)
     row = {"outcome": document["verdict"], "white": float(document["remaining"]["white"])}
     if seen:
         row |= {"effect": seen[0]["effect"], "place": seen[0]["location"]}
@@ -94,7 +95,7 @@ def _diagnosed(document: dict) -> dict:
 
 def _model(model: dict) -> dict:
     """Upper triangles, `stiffness_y1_y2` and `stiffness_y1_y2_error`; on the diagonal `stiffness_y1`."""
-    row, places = {}, model["output_names"]
+    row, places = {}, model.get("coordinates") or model["output_names"]
     for name in MATRICES:
         for r, c in zip(*np.triu_indices(len(places))):
             column = f"{name}_{places[r]}" + ("" if r == c else f"_{places[c]}")
@@ -178,7 +179,7 @@ def _write_matrices(folder: Path, rows: list[dict], documents: Iterable) -> Path
             continue
         model = (document.get("extended") or document.get("baseline") or document)["model"]
         if places is None:
-            places, inputs = model["output_names"], model["input_names"]
+            places, inputs = model.get("coordinates") or model["output_names"], model["input_names"]
             n, entries = len(places), 3 * len(places) * (len(places) + 1) // 2
             for name in MATRICES:
                 arrays[name] = np.full((len(rows), n, n), np.nan)

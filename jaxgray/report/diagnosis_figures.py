@@ -90,7 +90,7 @@ def missing_force(diagnosis: Diagnosis, *, finding: int = 0) -> Figure:
     one = found[finding]
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     axes = figure.subplots(2, 2, sharey=True)
-    names = diagnosis.baseline.model.output_names
+    names = diagnosis.baseline.model.coordinates
     figure.suptitle(title_of(one.effect, one.location, names) if one.effect else f"What is left at {one.location}")
     for axis, variable in zip(axes.flat, one.variables):
         x = variable.values
@@ -169,7 +169,7 @@ def ranking(diagnosis: Diagnosis, *, most: int = 15) -> Figure:
         if known:
             axis.semilogx(*zip(*known), "o", label=label, **style)
     axis.axvline(10, color="0.4", linewidth=0.9, linestyle=":")
-    names = diagnosis.baseline.model.output_names
+    names = diagnosis.baseline.model.coordinates
     axis.set_yticks(range(len(rows)), [title_of(row["effect"], row["location"], names) for row in rows])
     for text, row in zip(axis.get_yticklabels(), rows):
         text.set_fontweight("bold" if row["status"] in ("named", "equivalent", "partly") else "normal")
@@ -191,7 +191,7 @@ def error_budget(diagnosis: Diagnosis) -> Figure:
     """
     if not diagnosis.budget:
         raise ValueError("This diagnosis has no error budget: nothing was found that takes a share of the error.")
-    names = diagnosis.baseline.model.output_names
+    names = diagnosis.baseline.model.coordinates
     figure = Figure(figsize=(7.5, 1.0 + 0.42 * len(diagnosis.budget)), layout="constrained")
     axis = figure.subplots()
     labels = [budget_name(key, names) for key in diagnosis.budget]

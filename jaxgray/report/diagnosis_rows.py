@@ -17,14 +17,15 @@ MORE = 5
 """Candidates of the gate that are looked through beyond those that were refitted."""
 
 
-def output_names(document: dict) -> tuple[str, ...]:
-    """Names of the outputs, which are those of the coordinates."""
-    return tuple(document["baseline"]["model"]["output_names"])
+def coordinate_names(document: dict) -> tuple[str, ...]:
+    """Names of the coordinates: those of the outputs, then those that no output measures."""
+    model = document["baseline"]["model"]
+    return tuple(model.get("coordinates") or model["output_names"])
 
 
 def findings_rows(document: dict) -> Rows:
     """What was found: status, ΔBIC of the refit, gain, parameters; the rest of a class below its first."""
-    names = output_names(document)
+    names = coordinate_names(document)
     body = []
     for finding in document["findings"]:
         modelled = finding["stage"] == "model"
@@ -123,7 +124,7 @@ def shift_rows(document: dict) -> Rows | None:
     shifts = [s for s in document["shifts"] if s["standard_error"] != 0 or s["before"] != s["after"]]
     if not any(shift["standard_error"] != 0 for shift in shifts):
         return None
-    names, units = output_names(document), document["baseline"]["model"]["units"]
+    names, units = coordinate_names(document), document["baseline"]["model"]["units"]
     body = []
     for shift in shifts:
         error = shift["standard_error"]
@@ -154,14 +155,14 @@ def budget_name(key: str, names: tuple[str, ...]) -> str:
 
 def budget_rows(document: dict) -> Rows:
     """Share of every term, of noise and of the unexplained."""
-    names = output_names(document)
+    names = coordinate_names(document)
     body = tuple((budget_name(key, names), number(v, "{:.1f} %")) for key, v in document["budget"].items())
     return Rows(("error budget", "share of the mean square error"), body)
 
 
 def rejected_rows(document: dict) -> Rows:
     """What passed the gate and was not taken, the best first, and why."""
-    names = output_names(document)
+    names = coordinate_names(document)
     least = -float("inf")
     rows = sorted(document["rejected"], key=lambda one: least if one["delta_bic"] is None else one["delta_bic"])[::-1]
     body = tuple(
@@ -214,7 +215,7 @@ def in_words(text: str) -> str:
 
 def candidate_rows(document: dict) -> Rows:
     """The ranking of the candidates, without columns that have nothing to tell."""
-    names = output_names(document)
+    names = coordinate_names(document)
     body = tuple(
         (
             title_of(row["effect"], "", names),
@@ -236,7 +237,7 @@ def candidate_rows(document: dict) -> Rows:
 
 def not_found_rows(document: dict) -> Rows:
     """Every other candidate with the smallest size that would have been seen, by name."""
-    names = output_names(document)
+    names = coordinate_names(document)
     rows = sorted(document["not_found"], key=lambda one: (title_of(one["effect"], "").lower(), one["location"]))
     body = tuple(
         (title_of(one["effect"], ""), place_of(one["location"], names), smallest(one["min_detectable"])) for one in rows

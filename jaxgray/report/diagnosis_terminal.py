@@ -10,11 +10,11 @@ from rich.table import Table
 from ..diagnosis.words.titles import title_of
 from .diagnosis_rows import (
     budget_rows,
+    coordinate_names,
     error_rows,
     experiment_words,
     findings_rows,
     not_found_rows,
-    output_names,
     rejected_rows,
     shift_rows,
     smallest,
@@ -46,7 +46,7 @@ def show_diagnosis(out: Console, document: dict, *, verbose: bool = False) -> No
     **Arguments:** `out`: where to; `document`: by `diagnosis_document`; `verbose`: all rows; default the first few of
     what was rejected and not found.
     """
-    names = output_names(document)
+    names = coordinate_names(document)
     out.print(document["sentence"], style="bold", soft_wrap=True)
     if document["findings"]:
         out.print(_findings_table(document))
@@ -92,7 +92,7 @@ def _rejected_table(document: dict, verbose: bool) -> Table:
 
 def _show_not_found(out: Console, document: dict, verbose: bool) -> None:
     """Everything with the smallest visible size, or how many there are and that of the usual ones."""
-    not_found, names = document["not_found"], output_names(document)
+    not_found, names = document["not_found"], coordinate_names(document)
     if not not_found:
         return
     if verbose:

@@ -231,7 +231,7 @@ def _model(document: dict) -> MechanicalModel:
     effects = document.get("effects") or []
     if not isinstance(effects, list):
         raise ValueError(f"effects is {effects!r}; give a list.")
-    terms = tuple(term_of(one, model.input_names, model.output_names) for one in effects)
+    terms = tuple(term_of(one, model.input_names, model.output_names, model.hidden) for one in effects)
     return MechanicalModel(M, D, K, drive=drive, effects=terms, **texts) if terms else model
 
 

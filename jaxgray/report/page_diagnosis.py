@@ -11,6 +11,7 @@ from .diagnosis_rows import (
     budget_rows,
     candidate_rows,
     candidates,
+    coordinate_names,
     error_kind,
     error_rows,
     estimated,
@@ -18,7 +19,6 @@ from .diagnosis_rows import (
     findings_rows,
     gain_words,
     not_found_rows,
-    output_names,
     parameter_lines,
     rivals,
     shift_rows,
@@ -74,7 +74,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: dict) -> Page:
 
     **Returns:** a `Page`.
     """
-    names = output_names(document)
+    names = coordinate_names(document)
     causes = _causes(document)
     titles = [title_of(one["effect"], one["location"], names) for one in causes]
     laws = {term.effect.id: term.effect for term in diagnosis.terms}
@@ -140,7 +140,7 @@ def _summary(document: dict, causes: int) -> tuple[Fact, ...]:
     gain = None if extended is None else extended["gain"]
     kind = error_kind(document) if gain is None or gain["held_out"] else "estimation"
     data = {"validation": "held-out data", "estimation": "the data of the fit"}[kind]
-    floor, several = document["baseline"]["noise_floor"], len(output_names(document)) > 1
+    floor, several = document["baseline"]["noise_floor"], len(document["baseline"]["model"]["output_names"]) > 1
 
     def fact(title: str, rmse: dict) -> Fact:
         ratios = _ratios(rmse, floor)
@@ -187,7 +187,7 @@ def _sections(diagnosis: Diagnosis, document: dict):
     kind = {"validation": "data that the fit has not seen", "estimation": "the data of the fit"}[error_kind(document)]
     findings = findings_rows(document)
     messages = tuple(
-        f"{title_of(one['effect'], one['location'], output_names(document))}: {one['message']}"
+        f"{title_of(one['effect'], one['location'], coordinate_names(document))}: {one['message']}"
         for one in document["findings"]
         if one["message"]
     )
@@ -229,7 +229,7 @@ def _sections(diagnosis: Diagnosis, document: dict):
         tuple(forces),
     )
     ranked = candidate_rows(document)
-    plot = ranking_plot(candidates(document), output_names(document))
+    plot = ranking_plot(candidates(document), coordinate_names(document))
     yield Section(
         "ranking",
         "Candidates",

@@ -7,7 +7,7 @@ from ..diagnosis.conclusions.spectra import Spectra, spectra
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.words.titles import title_of
 from .binning import binned, decided_by
-from .diagnosis_rows import budget_name, output_names
+from .diagnosis_rows import budget_name, coordinate_names
 from .page_parts import Plot, axis, labelled, over_time, packed, stretch_for
 from .time_plots import Channel, Run, closer, stretches, whole
 
@@ -114,7 +114,7 @@ def _spectrum(made: Spectra, label: str, colour: str, values) -> list[dict]:
 
 def missing_force_plots(diagnosis: Diagnosis) -> list[Plot]:
     """What the model lacks against displacement, velocity, time and input, with the law that was found."""
-    names = diagnosis.baseline.model.output_names
+    names = diagnosis.baseline.model.coordinates
     plots = []
     for j, one in enumerate(missing_forces(diagnosis)):
         title = title_of(one.effect, one.location, names) if one.effect else f"what is left at {one.location}"
@@ -203,7 +203,7 @@ def ranking_plot(rows: list[dict], names: tuple[str, ...]) -> Plot | None:
 
 def budget_plot(document: dict) -> Plot:
     """Share of every term, noise and the unexplained in one bar."""
-    names = output_names(document)
+    names = coordinate_names(document)
     palette = ["@after", "@second", "@third", "@fourth"]
     traces = []
     for k, (key, share) in enumerate(document["budget"].items()):

@@ -15,17 +15,17 @@ def term_document(term: Term) -> dict:
     return {"effect": term.effect.id, "location": term.place.name, "parameters": parameters}
 
 
-def term_of(document, input_names, output_names) -> Term:
+def term_of(document, input_names, output_names, hidden=()) -> Term:
     """The law that `term_document` wrote.
 
-    **Arguments:** `document`; `input_names`, `output_names` of the model.
+    **Arguments:** `document`; `input_names`, `output_names`, `hidden` coordinates of the model.
 
     **Raises:** `ValueError` for an effect, a place or parameters that are not known.
     """
     if not isinstance(document, dict) or not {"effect", "location", "parameters"} <= set(document):
         raise ValueError(f"effects: {document!r} is no effect; give an object with effect, location and parameters.")
     effect = by_id(document["effect"])
-    places = {place.name: place for place in places_of(effect, tuple(input_names), tuple(output_names))}
+    places = {place.name: place for place in places_of(effect, input_names, output_names, hidden)}
     if document["location"] not in places:
         raise ValueError(
             f"effects: {effect.id} cannot act at {document['location']!r}; give one of {', '.join(places) or 'none'}."

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import hidden_draws as draws
 import numpy as np
-import pytest
 from hidden_laws import Effect
 from hidden_simulation import simulate
 
@@ -88,10 +87,3 @@ def test_friction_that_takes_the_free_run_out_of_step_begins_with_the_force_equa
     ] and found.verdict == "named"
     size = found.findings[0].parameters["mu"]
     assert abs(size.value - mu) < 4 * size.standard_error < 0.01
-
-
-@pytest.mark.parametrize("hidden", [1, "auto", ["load"]])
-def test_coordinates_without_a_sensor_are_refused(hidden):
-    record = jaxgray.Record(np.ones((300, 1)), np.ones((300, 1)), 0.01)
-    with pytest.raises(ValueError, match="hidden=.* one coordinate per output"):
-        jaxgray.diagnose(record, hidden=hidden)

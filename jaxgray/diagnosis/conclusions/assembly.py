@@ -150,6 +150,7 @@ def model_of(candidate: Candidate, like: MechanicalModel, setup: Setup) -> Mecha
         input_units=like.input_units,
         output_units=like.output_units,
         effects=completed(candidate, setup.own).terms,
+        hidden=like.hidden,
     )
 
 

@@ -97,11 +97,12 @@ class _Equation:
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> "_Equation | None":
-        """None where forces cannot be had from the record: a static gain, a driven base, measured accelerations."""
+        """None where forces cannot be had from the record: a static gain, a driven base, measured accelerations, hidden
+        coordinates."""
         model = (diagnosis.extended or diagnosis.baseline).model
         record = diagnosis.records[0]
         static = not np.any(np.asarray(model.mass))
-        if static or not isinstance(model.drive, Force) or "acceleration" in record.measured:
+        if static or model.hidden or not isinstance(model.drive, Force) or "acceleration" in record.measured:
             return None
         series = series_of(record, band_of([record]), at_rest=True)
         if len(series.rows) < 10:

@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from ...mechanics.effects.base import AbstractEffect
 from ...numerics.progress import AbstractProgress
-from ..model.candidate import Data
+from ..model.candidate import Candidate, Data
 from ..model.simulator import Simulator
 from ..noise.whitening import NoiseModel, estimate_noise_model, white_noise_model
-from ..screening.linearization import sampled_plant
+from ..screening.linearization import Stage, sampled_plant, stage_of
 from .gauss_newton import Refit
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class SearchContext:
     `first_trials`: gives its trials of the first law, where they only start refits; `trials_at_once`: whether those are
     refitted with the first candidates, not only where these leave more than noise; `out_of_step`: whether the free run
     is of no use unless what the force equation says brings it into step; `white`: whether the noise is taken for white
-    whatever a refit leaves, not estimated with it.
+    whatever a refit leaves, not estimated with it; `others`: linear models other than the best one.
     """
 
     simulator: Simulator
@@ -51,6 +51,15 @@ class SearchContext:
     trials_at_once: bool = False
     out_of_step: bool = False
     white: bool = False
+    others: tuple[Candidate, ...] = ()
+
+
+def stage_of_candidate(context: SearchContext, candidate: Candidate) -> Stage:
+    """The model on the first record, without the columns of what is held."""
+    stage = stage_of(context.simulator, candidate, context.data[0])
+    entries = len(candidate.entries)
+    kept = np.concatenate([~context.held, np.ones(stage.J.shape[2] - entries, bool)])
+    return dataclasses.replace(stage, J=stage.J[:, :, kept])
 
 
 _noise_models: "weakref.WeakKeyDictionary[Refit, tuple[Data, NoiseModel]]" = weakref.WeakKeyDictionary()
@@ -60,7 +69,7 @@ def noise_model_of(context: SearchContext, fit: Refit) -> NoiseModel:
     """The noise model of what a refit leaves of the first record; estimated once, however often it is asked for."""
     if context.white:
         data = context.data[0]
-        system = sampled_plant(context.simulator.plant(fit.candidate), data, context.simulator.setup.dofs)
+        system = sampled_plant(context.simulator.plant(fit.candidate), data, context.simulator.setup.outputs)
         return white_noise_model(fit.residual[0], data.kept, system)
     data, known = context.data[0], _noise_models.get(fit)
     if known is None or known[0] is not data:
@@ -70,7 +79,7 @@ def noise_model_of(context: SearchContext, fit: Refit) -> NoiseModel:
 
 def _estimated(context: SearchContext, fit: Refit, data: Data) -> NoiseModel:
     plant = context.simulator.plant(fit.candidate)
-    system = sampled_plant(plant, data, context.simulator.setup.dofs)
+    system = sampled_plant(plant, data, context.simulator.setup.outputs)
     force = context.simulator.input_power(data)
     return estimate_noise_model(fit.residual[0], data.kept, system, force)
 

@@ -72,7 +72,7 @@ def from_other_values(
 
     for _ in range(TURNS):
         candidate, term = fit.candidate, fit.candidate.terms[-1]
-        system = sampled_plant(context.simulator.plant(fit.candidate), data, context.simulator.setup.dofs)
+        system = sampled_plant(context.simulator.plant(fit.candidate), data, context.simulator.setup.outputs)
         white = white_noise_model(fit.residual[0], data.kept, system)
         others = [Term(term.effect, term.place, values) for values in chosen(fit, white)]
         starts = [candidate.with_terms((*candidate.terms[:-1], other)) for other in others]
@@ -103,7 +103,8 @@ def products_of(
     stage = stage_of(context.simulator, candidate.with_terms(candidate.terms[:-1]), data)
     kept = np.concatenate([~context.held, np.ones(stage.J.shape[2] - len(context.held), bool)])
     whole = stage_of(context.simulator, candidate, data)
-    scales = scales_at(stage.plant, whole.motion, data, inputs, outputs, lines_of(stage.e, data))
+    hidden = context.simulator.setup.unmeasured
+    scales = scales_at(stage.plant, whole.motion, data, inputs, outputs, lines_of(stage.e, data), hidden)
     key = "input" if term.effect.places == "input" else "coordinate", term.place.name
     tried = rows(np.array(term.effect.shapes(scales[key]), dtype=float))
     made = features(
@@ -115,6 +116,7 @@ def products_of(
         inputs,
         outputs,
         shapes={(term.effect.id, term.place.name): list(tried)},
+        hidden=hidden,
     )
     responses = as_answered(stage, made, data).responses
     return Products(noise_model, stage.e, stage.J[:, :, kept], responses, data.kept), tried

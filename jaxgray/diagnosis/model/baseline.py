@@ -44,12 +44,17 @@ def baseline_of(
 
     **Raises:** `ValueError` when the user's model does not go with the record.
     """
-    own, laws, left_out = model is not None, (), ()
+    own, laws, left_out, physical = model is not None, (), (), True
     if own:
         first = records[0]
-        if (model.inputs, model.dofs) != (first.inputs, first.outputs):
+        if model.hidden:
             raise ValueError(
-                f"model has {model.inputs} inputs and {model.dofs} coordinates, the record {first.inputs} inputs and "
+                f"model has hidden coordinates ({', '.join(model.hidden)}), and a diagnosis judges models of measured "
+                "ones; give a model with one coordinate per output."
+            )
+        if (model.inputs, model.outputs) != (first.inputs, first.outputs):
+            raise ValueError(
+                f"model has {model.inputs} inputs and {model.outputs} outputs, the record {first.inputs} inputs and "
                 f"{first.outputs} outputs; give the model that belongs to the record."
             )
         laws, left_out = laws_of(model, first)
@@ -57,16 +62,29 @@ def baseline_of(
         scaling, structure = scaling_of(records), Structure()
     else:
         model, scaling, structure = identification.model, identification.scaling, identification.structure
+        physical = identification.hidden is None or not identification.hidden.canonical
     setup = _setup(model, scaling, structure, records[0])
     entries = setup.entries_of(model.mass, model.damping, model.stiffness)
     fixed = np.ones(len(entries), bool) if own else identification.fixed
-    setup = dataclasses.replace(_setup(model, scaling, structure, records[0], fixed), own=laws)
+    setup = dataclasses.replace(_setup(model, scaling, structure, records[0], fixed), own=laws, physical=physical)
+    return Baseline(model, setup, _begun(model, entries, records), own, left_out)
+
+
+def others_of(records: list[Record], identification: Identification | None, setup: Setup) -> tuple[Candidate, ...]:
+    """Linear models of an identification other than the best one, with the first state of every record."""
+    evidence = None if identification is None else identification.hidden
+    models = () if evidence is None else evidence.consistent
+    return tuple(_begun(one, setup.entries_of(one.mass, one.damping, one.stiffness), records) for one in models)
+
+
+def _begun(model: MechanicalModel, entries: np.ndarray, records: list[Record]) -> Candidate:
+    """A model with the first states by which its free run comes nearest to the records."""
     states = []
     for record in records:
         more = {"hold": record.hold, "scheduling": record.scheduling}
         x0, _ = initial_state(model, record.u, record.y, record.sampling_time, **more)
         states.append(x0)
-    return Baseline(model, setup, Candidate(entries, tuple(states)), own, left_out)
+    return Candidate(entries, tuple(states))
 
 
 def _setup(model: MechanicalModel, scaling: Scaling, structure: Structure, record: Record, held=None) -> Setup:
@@ -78,4 +96,5 @@ def _setup(model: MechanicalModel, scaling: Scaling, structure: Structure, recor
         np.zeros(0, bool) if held is None else np.asarray(held, bool),
         record.input_names,
         record.output_names,
+        hidden=model.hidden,
     )

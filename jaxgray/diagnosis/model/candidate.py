@@ -95,7 +95,8 @@ class Setup:
 
     `drive` and `measured` in the record's units; `scaling` and `structure` of the linear parameters; `held`: entries of
     the joined blocks that do not move; `input_names`, `output_names`; `own`: laws of the user's own model, which act
-    in every candidate.
+    in every candidate; `hidden`: names of the coordinates that no output measures; `physical`: whether these are places
+    of a mechanism, and not of the canonical form.
     """
 
     drive: AbstractDrive
@@ -106,11 +107,23 @@ class Setup:
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     own: tuple[Term, ...] = ()
+    hidden: tuple[str, ...] = ()
+    physical: bool = True
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Hidden coordinates that laws can act at."""
+        return self.hidden if self.physical else ()
+
+    @property
+    def outputs(self) -> int:
+        """Outputs; output k measures coordinate k."""
+        return len(self.measured)
 
     @property
     def dofs(self) -> int:
-        """Coordinates that are measured."""
-        return len(self.measured)
+        """Coordinates of the linear model, measured and hidden."""
+        return len(self.measured) + len(self.hidden)
 
     @property
     def per_mass(self) -> bool:

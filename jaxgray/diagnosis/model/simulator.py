@@ -239,7 +239,7 @@ class Simulator:
         return self._outputs(_acting(self.completed(candidate), record), data, record)
 
     def _outputs(self, candidate: Candidate, data: Data, record: int) -> Float[np.ndarray, "samples outputs"]:
-        y = self._run(candidate, data, record)[0][:, : self.setup.dofs]
+        y = self._run(candidate, data, record)[0][:, : self.setup.outputs]
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
             y = _output_only(_values(terms), y, data.u, data.traced_sampling_time, forms(terms))
@@ -305,7 +305,7 @@ class Simulator:
             wide[:, :, moves] = J
             return y, wide
         plant, x0, inputs, slots, table, dplant, dinput = self._parts(candidate, data, record)
-        dofs, total = self.setup.dofs, plant.mass.shape[0]
+        dofs, outputs, total = self.setup.dofs, self.setup.outputs, plant.mass.shape[0]
         entries = len(candidate.entries)
         columns, series = [], []
         # Columns in the order of the parameters: entries, first state, then the values term by term.
@@ -371,13 +371,13 @@ class Simulator:
             forces = _only(candidate.terms, AbstractForceEffect)
             count = len(columns) - sum(len(estimated(term)) for term in forces) + slots.values.size
         y, J = derivative(columns, (), count)
-        parts = [np.asarray(J)[:, :dofs, : len(columns)]]
+        parts = [np.asarray(J)[:, :outputs, : len(columns)]]
         if series:
             changes = [None if d is None else np.moveaxis(np.asarray(d)[..., series], -1, 0) for d in dinput]
             still = [column() for _ in series]
             _, J = derivative(still, changes, _rounded(len(series)))
-            parts.append(np.asarray(J)[:, :dofs, : len(series)])
-        y, J = np.asarray(y)[:, :dofs], np.concatenate(parts, axis=2)
+            parts.append(np.asarray(J)[:, :outputs, : len(series)])
+        y, J = np.asarray(y)[:, :outputs], np.concatenate(parts, axis=2)
         terms = _only(candidate.terms, AbstractOutputEffect)
         extra = None
         if terms:

@@ -1,7 +1,6 @@
 """The states of a model on a record, smoothed with the whole record."""
 
 import numpy as np
-import scipy.linalg
 from jaxtyping import Bool, Float
 
 from ...mechanics.statespace import StateSpace
@@ -9,6 +8,9 @@ from .whitening import _FLOOR, _kalman_gain, _respond, white_part
 
 UNDAMPED = 1e-8
 """Decay a sample that every motion has at least, for the smoother."""
+
+DOUBLINGS = 34
+"""Of the sum of a stationary covariance: enough for that decay."""
 
 
 def smoothed_states(
@@ -45,10 +47,20 @@ def smoothed_states(
     here = ahead + epsilon @ predicted_gain.T
     # An undamped plant that nothing corrects has no stationary covariance; next to it there is one.
     closed = (1 - UNDAMPED) * (A - gain @ C)
-    P = scipy.linalg.solve_discrete_lyapunov(closed, Q + gain @ (np.diag(V) + D * (ratio * force) @ D.T) @ gain.T)
+    P = _stationary(closed, Q + gain @ (np.diag(V) + D * (ratio * force) @ D.T) @ gain.T)
     filtered = P - predicted_gain @ innovation @ predicted_gain.T
     back = np.linalg.lstsq(P.T, (filtered @ A.T).T, rcond=1e-12)[0].T
     # x_s[k] = here[k] + back (x_s[k+1] − ahead[k+1]), run from the end.
     drive = here[:-1] - ahead[1:] @ back.T
     turned = _respond(back, eye, back, eye, drive[::-1], here[-1])
     return np.concatenate([np.asarray(turned)[::-1], here[-1:]])
+
+
+def _stationary(A: np.ndarray, Q: np.ndarray) -> np.ndarray:
+    """Σ Aᵏ Q Aᵏᵀ by doubling (Smith 1968), which asks nothing of how far apart the sizes of the states are."""
+    for _ in range(DOUBLINGS):
+        more = Q + A @ Q @ A.T
+        if not np.all(np.isfinite(more)):
+            break
+        Q, A = more, A @ A
+    return Q

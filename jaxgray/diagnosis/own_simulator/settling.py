@@ -193,7 +193,7 @@ def refit_of_numbers(context: SearchContext, candidate: Candidate) -> Refit:
     """The refit of a candidate as it is, under white noise."""
     linear, data = context.simulator, context.data[0]
     e = np.where(data.kept, data.y - linear.run(candidate, data), 0.0)
-    white = white_noise_model(e, data.kept, sampled_plant(linear.plant(candidate), data, linear.setup.dofs))
+    white = white_noise_model(e, data.kept, sampled_plant(linear.plant(candidate), data, linear.setup.outputs))
     fit = refit(linear, candidate, context.data, white, held=context.held)
     if fit is None:
         detail = "the linear plant that stands for it about the record runs away"

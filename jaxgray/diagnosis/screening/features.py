@@ -101,12 +101,14 @@ def features(
     output_names: tuple[str, ...],
     taken: frozenset = frozenset(),
     shapes: dict | None = None,
+    hidden: tuple[str, ...] = (),
 ) -> Features:
     """Responses of every effect at every place, with every shape of its grid.
 
     **Arguments:** `plant`: the linear part; `motion`; `data`: the record; `catalogue`; `scales`: by kind of place and
     name; `input_names`, `output_names`; `taken`: (id, place) that are in the model already; `shapes`: parameter
-    vectors to try instead of the effect's own, by (id, place).
+    vectors to try instead of the effect's own, by (id, place); `hidden`: names of the coordinates that no output
+    measures.
 
     **Returns:** `Features`.
     """
@@ -118,7 +120,8 @@ def features(
             continue
         if effect.scheduled and not np.any(data.scheduling):
             continue
-        places = [p for p in places_of(effect, input_names, output_names) if (effect.id, p.name) not in taken]
+        everywhere = places_of(effect, input_names, output_names, hidden)
+        places = [p for p in everywhere if (effect.id, p.name) not in taken]
         for place in places:
             here = scales[_scale_key(effect, place, output_names)]
             if shapes is not None and (effect.id, place.name) not in shapes:
@@ -256,7 +259,7 @@ def _respond_many(plant, columns, start, end, seen, time, forced):
         push = jnp.linalg.solve(plant.mass, columns)
         B = jnp.concatenate([jnp.zeros_like(push), push * time**2])
         measured = jnp.asarray([kind == "acceleration" for kind in plant.measured])
-        D = jnp.where(measured[:, None], push, 0.0)
+        D = jnp.where(measured[:, None], push[: len(plant.measured)], 0.0)
     else:
         B, D = system.B @ columns, system.D @ columns
     Ad, B0, B1 = hold_matrices(system.A, B, 1.0, "linear")

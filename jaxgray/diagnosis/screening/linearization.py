@@ -56,7 +56,7 @@ def stage_of(simulator: Simulator, candidate: Candidate, data: Data, record: int
     J, slopes = np.split(both, [J.shape[2]], axis=2)
     plant = simulator.plant(candidate)
     q, v = simulator.motion(candidate, data, record)
-    system = sampled_plant(plant, data, simulator.setup.dofs)
+    system = sampled_plant(plant, data, simulator.setup.outputs)
     force = simulator.input_power(data)
     motion, own = Motion(q, v, y), simulator.setup.own
     return Stage(candidate, e, J, plant, system, force, motion, own=own, slopes=slopes, simulator=simulator)
@@ -106,11 +106,13 @@ def screen_smoothed(
 
 def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Features:
     inputs, outputs = names
-    scales = scales_at(stage.plant, motion, data, inputs, outputs, lines_of(stage.e, data))
+    hidden = stage.simulator.setup.unmeasured if stage.simulator is not None else ()
+    scales = scales_at(stage.plant, motion, data, inputs, outputs, lines_of(stage.e, data), hidden)
     errors = [effect for effect in catalogue if isinstance(effect, ParameterError)]
     others = tuple(effect for effect in catalogue if not isinstance(effect, ParameterError))
     known = stage.taken | stage.ruled_out
-    made = as_answered(stage, features(stage.plant, motion, data, others, scales, inputs, outputs, known), data)
+    made = features(stage.plant, motion, data, others, scales, inputs, outputs, known, hidden=hidden)
+    made = as_answered(stage, made, data)
     shapes, columns, column = [], [], {error.at: k for k, error in enumerate(parameter_errors(stage.own))}
     for effect in errors:
         owner = stage.own[effect.at[0]].place

@@ -21,8 +21,10 @@ def scales_at(
     input_names: tuple[str, ...],
     output_names: tuple[str, ...],
     lines_hz: tuple[float, ...],
+    hidden: tuple[str, ...] = (),
 ) -> dict[tuple[str, str], Scales]:
-    """Sizes in the record at every place: by kind of place (coordinate, input, output) and name."""
+    """Sizes in the record at every place: by kind of place (coordinate, input, output) and name; `hidden`: names of the
+    coordinates that no output measures."""
     M, frequencies = np.asarray(plant.mass), tuple(natural_frequencies_hz(plant))
     n = data.samples
     u = data.u[:n]
@@ -53,11 +55,12 @@ def scales_at(
 
     result = {}
     # A coordinate that an effect added bears no name.
-    eye = np.eye(len(output_names), motion.q.shape[1])
-    for i, a in enumerate(output_names):
+    coordinates = output_names + hidden
+    eye = np.eye(len(coordinates), motion.q.shape[1])
+    for i, a in enumerate(coordinates):
         result["coordinate", a] = of(eye[i], np.zeros(n))
-        for j in range(i + 1, len(output_names)):
-            result["coordinate", f"{a}-{output_names[j]}"] = of(eye[i] - eye[j], np.zeros(n))
+        for j in range(i + 1, len(coordinates)):
+            result["coordinate", f"{a}-{coordinates[j]}"] = of(eye[i] - eye[j], np.zeros(n))
     for j, name in enumerate(input_names):
         result["input", name] = of(map_[:, j], u[:, j])
     # An output effect works on what the output measures, which need not be the displacement.

@@ -23,7 +23,7 @@ def floor_of(context: SearchContext, attempts: list[Attempt]) -> np.ndarray:
     if context.floor is not None:
         return context.floor
     if not attempts:
-        return np.ones(context.simulator.setup.dofs)
+        return np.ones(context.simulator.setup.outputs)
     return residual_rms(attempts[0].fit.residual[0], context.data[0])
 
 

@@ -11,14 +11,14 @@ import numpy as np
 
 from ...mechanics.effects.base import Term
 from .. import settings
-from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.gauss_newton import Refit, refit, with_states
 from ..estimation.multistart import moving
 from ..estimation.significance import evidence, significance
 from ..findings import Reason, Refusal, Rejected
 from ..model.candidate import Candidate
 from ..model.parameter_vector import Layout
-from .state import SearchState, held_out_run, stage_of_candidate
+from .state import SearchState, held_out_run
 
 
 def prune(context: SearchContext, state: SearchState) -> None:

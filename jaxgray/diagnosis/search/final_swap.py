@@ -8,7 +8,7 @@ import numpy as np
 
 from ...numerics.progress import BudgetSpent
 from .. import settings
-from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.continuation import ROUGH, in_short_steps
 from ..estimation.element_sums import at_fewer_everywhere
 from ..estimation.gauss_newton import Refit, refit
@@ -18,7 +18,7 @@ from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
 from ..model.free_run import overall
 from ..noise.whitening import NoiseModel
 from .confusable import alike, needless
-from .state import SearchState, held_out_run, stage_of_candidate
+from .state import SearchState, held_out_run
 
 STEPS = 10
 """Of each refit of a rival."""

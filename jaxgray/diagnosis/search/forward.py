@@ -10,7 +10,7 @@ from ...numerics.progress import BudgetSpent
 from ...numerics.runtime import relieve
 from .. import settings
 from ..acceptance import at_its_bound, unsound
-from ..estimation.context import SearchContext
+from ..estimation.context import SearchContext, stage_of_candidate
 from ..estimation.multistart import Attempt, compared, unresolved
 from ..estimation.significance import at_bound
 from ..findings import Move, Reason, Refusal, Rejected
@@ -36,7 +36,7 @@ from .proposals import (
     without_failed,
 )
 from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
-from .state import Accepted, SearchState, held_out_run, runs_seen, stage_of_candidate
+from .state import Accepted, SearchState, held_out_run, runs_seen
 
 
 def select_forward(

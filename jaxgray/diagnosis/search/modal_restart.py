@@ -16,13 +16,13 @@ from ...mechanics.simulate import initial_state
 from ...numerics.outcomes import ComputationError
 from ...records import Record
 from .. import settings
-from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.gauss_newton import Refit, refit
 from ..model.candidate import Candidate
 from ..model.held_out_gain import gain_of
 from ..noise.floor import residual_rms
 from ..noise.whitening import white_noise_model
-from .state import SearchState, held_out_run, runs_seen, stage_of_candidate
+from .state import SearchState, held_out_run, runs_seen
 
 STEPS = 40
 

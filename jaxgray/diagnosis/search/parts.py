@@ -17,7 +17,7 @@ from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.simulate import initial_state
 from ...numerics.bounded import bounded
 from .. import settings
-from ..estimation.context import SearchContext, noise_model_of
+from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.continuation import ROUGH, settled
 from ..estimation.gauss_newton import Refit, refit
 from ..model.baseline import Baseline
@@ -26,7 +26,7 @@ from ..model.simulator import Simulator
 from ..noise.whitening import white_noise_model, white_part
 from ..screening.linearization import screen_simulated
 from .forward import extend, select_forward
-from .state import SearchState, held_out_run, stage_of_candidate
+from .state import SearchState, held_out_run
 
 PART = 8192
 """Samples of each record that the search begins with."""

@@ -24,6 +24,7 @@ from ..starts.lookalikes import (
     refit_look_alikes,
     untried_look_alikes,
 )
+from ..starts.other_models import from_other_models
 from ..starts.user_model import wrong_entries
 from ..starts.windows import changes_over_time
 from .confusable import look_alikes, simplified
@@ -45,6 +46,7 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     forced = from_forces(context, stage, screening)
     if not (context.trials_at_once or context.white) and _leaves_more_than_noise(context, ranked):
         forced += from_first_trials(context, stage, screening)
+    forced += from_other_models(context, stage)
     if forced:
         ranked = _better_ones(compared(context, stage, ranked + forced))
     if ranked:

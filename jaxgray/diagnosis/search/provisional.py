@@ -10,14 +10,14 @@ import dataclasses
 import numpy as np
 
 from .. import settings
-from ..estimation.context import SearchContext
+from ..estimation.context import SearchContext, stage_of_candidate
 from ..estimation.gauss_newton import refit
 from ..estimation.multistart import Attempt
 from ..estimation.profile_scan import something_left
 from ..findings import Move
 from ..model.held_out_gain import gain_of
 from ..noise.whitening import white_noise_model
-from .state import Accepted, Provisional, SearchState, held_out_run, is_local, runs_seen, stage_of_candidate
+from .state import Accepted, Provisional, SearchState, held_out_run, is_local, runs_seen
 
 STEPS = 20
 """Of the refit for the free run."""

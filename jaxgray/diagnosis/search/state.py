@@ -1,6 +1,5 @@
 """The state of a search: what was accepted and refused, and its model run on data."""
 
-import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +11,7 @@ from ..estimation.multistart import Attempt
 from ..findings import Gain, Move, Rejected
 from ..model.candidate import Candidate, Data
 from ..model.free_run import FreeRun, free_run
-from ..screening.linearization import Stage, stage_of
+from ..screening.linearization import Stage
 from ..screening.score_test import Screening
 
 
@@ -70,14 +69,6 @@ class SearchState:
     def sure(self) -> Stage:
         """The model without findings on credit."""
         return self.stage if self.provisional is None else self.provisional.stage
-
-
-def stage_of_candidate(context: SearchContext, candidate: Candidate) -> Stage:
-    """The model on the first record, without the columns of what is held."""
-    stage = stage_of(context.simulator, candidate, context.data[0])
-    entries = len(candidate.entries)
-    kept = np.concatenate([~context.held, np.ones(stage.J.shape[2] - entries, bool)])
-    return dataclasses.replace(stage, J=stage.J[:, :, kept])
 
 
 def is_local(context: SearchContext, effect: AbstractEffect) -> bool:

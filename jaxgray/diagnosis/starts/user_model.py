@@ -58,7 +58,7 @@ def identified(simulator: Simulator, records: list[Record], data: list[Data], op
         return None
     if simulator.setup.own:
         # The linear model had taken the laws upon itself.
-        system = sampled_plant(simulator.plant(candidate), data[0], simulator.setup.dofs)
+        system = sampled_plant(simulator.plant(candidate), data[0], simulator.setup.outputs)
         white, free = white_noise_model(e, data[0].kept, system), np.zeros(len(entries), bool)
         fit = refit(simulator, candidate, data, white, held=free, max_steps=STEPS)
         if fit is None:
@@ -83,7 +83,7 @@ def with_first_states(context: SearchContext, baseline: Baseline) -> Baseline:
 def _informed(simulator: Simulator, data: list[Data], candidate: Candidate, e: np.ndarray) -> Identified | None:
     """What the records say of the entries of a candidate that leaves `e` of the first; None where it overflows."""
     noise_model = white_noise_model(
-        e, data[0].kept, sampled_plant(simulator.plant(candidate), data[0], simulator.setup.dofs)
+        e, data[0].kept, sampled_plant(simulator.plant(candidate), data[0], simulator.setup.outputs)
     )
     made = Equations(simulator, data, noise_model, Layout(simulator.setup, candidate))(candidate)
     if made is None:

@@ -16,6 +16,9 @@ from .titles import number_of, parameters_text, place_of, title_of, value_text
 MANY = 4.0
 """Ratio of an entry to what it should be from which a sentence says how many times it is."""
 
+TOO_MUCH = 1e3
+"""Ratio of an entry before to after from which the linear model had no such entry to speak of."""
+
 UNLIKELY = 1000.0
 """Change of an entry [%] from which it says more of a small entry than of a large change."""
 
@@ -44,7 +47,7 @@ def verdict_sentence(diagnosis: DiagnosisFields) -> str:
         parts += [_unexplained(diagnosis, bool(causes))]
     seen = [f for f in diagnosis.findings if f.stage == "record"]
     if seen:
-        names = diagnosis.baseline.model.output_names
+        names = diagnosis.baseline.model.coordinates
         parts += [f"Seen in the record: {listed(_seen(f, names) for f in seen)}."]
         # Behind what it is, how much of it may be something else.
         parts += [f.message.partition(". ")[2] for f in seen if f.effect == "process_noise"]
@@ -67,7 +70,7 @@ def _stands_in(diagnosis: DiagnosisFields) -> str:
     """What moves as a simulation does of which only the outputs are known; empty where there is none."""
     if diagnosis.simulated is None:
         return ""
-    names = diagnosis.baseline.model.output_names
+    names = diagnosis.baseline.model.coordinates
     laws = [_titled(one, names) for one in diagnosis.simulated.findings]
     left = max(diagnosis.simulated.left_percent.values())
     return f"It moves as M, D, K with {listed(laws) if laws else 'no other law'} ({max(left, 0.01):.2g} % left)."
@@ -134,7 +137,7 @@ def _causes(diagnosis: DiagnosisFields, causes: list[Finding]) -> list[str]:
         return [_named(diagnosis, causes, "Cause" if len(causes) == 1 else "Causes")]
     wrong = [f for f in causes if f.effect in MODEL_ERRORS]
     laws = [f for f in causes if f.effect not in MODEL_ERRORS]
-    names = diagnosis.baseline.model.output_names
+    names = diagnosis.baseline.model.coordinates
     parts = []
     if wrong:
         parts.append("Your numbers: " + listed(_correction(f, names) for f in wrong) + ".")
@@ -174,7 +177,7 @@ def _titled(one, names: tuple[str, ...]) -> str:
 
 
 def _named(diagnosis: DiagnosisFields, causes: list[Finding], head: str) -> str:
-    names = diagnosis.baseline.model.output_names
+    names = diagnosis.baseline.model.coordinates
     texts = []
     for finding in causes:
         text = _titled(finding, names) + _rivals(finding, names)
@@ -198,10 +201,10 @@ def _altered(diagnosis: DiagnosisFields, finding: Finding) -> str:
     model, first, second = diagnosis.extended.model, term.place.first, term.place.second
     X = np.asarray(getattr(model, matrix))
     other = "the ground" if isinstance(model.drive, Force) else "the base"
-    ends = f"between {model.output_names[first]} and {other if second < 0 else model.output_names[second]}"
+    ends = f"between {model.coordinates[first]} and {other if second < 0 else model.coordinates[second]}"
     there = -X[first, second] if second >= 0 else X[first].sum()
     if matrix == "mass":
-        there, ends = X[first, first], f"at {model.output_names[first]}"
+        there, ends = X[first, first], f"at {model.coordinates[first]}"
     percent = 100 * finding.parameters[parameter].value / there if there > 0 else math.nan
     if not abs(percent) < UNLIKELY:
         return ""
@@ -282,13 +285,13 @@ def entry_of(name: str, outputs: tuple[str, ...]) -> tuple[str, str, str]:
 
 def _hidden(diagnosis: DiagnosisFields, causes: int) -> str:
     """Which entry of the linear model had taken the effect in, if one clearly had."""
-    outputs = diagnosis.baseline.model.output_names
+    outputs = diagnosis.baseline.model.coordinates
 
     def clear(shift: ParameterShift) -> bool:
         matrix, r, c = entry_of(shift.name, outputs)
         change, after = abs(shift.before - shift.after), abs(shift.after)
         error = shift.standard_error if shift.standard_error is not None else after / 60
-        shows = after > 3 * error and change > 3 * error and change > 0.01 * after
+        shows = after > 3 * error and change > 3 * error and 0.01 * after < change < TOO_MUCH * after
         return matrix != "" and r == c and shows and after > 1e-3 * largest[matrix]
 
     largest = dict.fromkeys(("mass", "damping", "stiffness"), 0.0)
@@ -320,7 +323,7 @@ def describe(diagnosis: DiagnosisFields) -> str:
 
     **Returns:** the text, not ending in a newline.
     """
-    names = diagnosis.baseline.model.output_names
+    names = diagnosis.baseline.model.coordinates
     lines = [f"Diagnosis: {diagnosis.verdict}", *_filled(verdict_sentence(diagnosis), "  ")]
     rows = [("finding", "status", "ΔBIC", "gain", "parameters")]
     for f in diagnosis.findings:

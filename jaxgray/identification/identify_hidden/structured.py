@@ -1,5 +1,6 @@
 """Masses, dampers and springs that are connected as a person says."""
 
+import contextlib
 from dataclasses import replace
 
 import equinox as eqx
@@ -27,10 +28,15 @@ from ..result import Identification
 from ..setup.structure import Structure
 from .canonical import canonical_fit
 from .elements import elements_of, undetermined_entries
+from .start import high_passed_realizations
 from .task import Task, assessed, collocated, in_windows, merit, model_of, refined_from, start_of
 
 MOST_ALTERNATIVES = 4
 """Equally good sets of parameters that are refined first, and that are kept."""
+
+MOST_CONSISTENT, MOST_TRIED, FEW_STARTS = 2, 8, 16
+"""Where the structure does not have the transfer function of the best realisation: models that are kept of those that
+others have, realisations that are tried of every filter, and random starts for each."""
 
 POOR_MATCH = 1e-4
 """Mean squared relative error of a structure's transfer function from which the slowest poles are not trusted."""
@@ -76,9 +82,13 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
         others = matched(family, target, np.sort(rates)[2 * loose :], given)
         ends = max((ends, others), key=lambda found: _matched_merit(task, family, found.parameters[0], best, tau, rows))
     theta = np.where(held, np.nan_to_num(given), ends.parameters)
+    consistent: list[Start] = []
+    if ends.errors[0] > POOR_MATCH:
+        consistent, others = _consistent(task, family, found, given)
+        theta = np.concatenate([*others, theta])
     outcome = determinacy(family, theta[0], connections.elements, units=units, held=held)
-    candidates = theta[: MOST_ALTERNATIVES if outcome.complete else 1]
-    starts = [start_of(task, family.matrices(x), best, tau, rows, "subspace") for x in candidates]
+    candidates = theta[len(consistent) :][: MOST_ALTERNATIVES if outcome.complete else 1]
+    starts = consistent + [start_of(task, family.matrices(x), best, tau, rows, "subspace") for x in candidates]
     order = np.argsort([-s.score for s in starts], kind="stable")
     start = starts[order[0]]
     refinement, others = None, []
@@ -111,10 +121,30 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
         outcome.parameters,
         (),
         alternatives,
+        consistent=tuple(model_of(task, one, one, known) for one in consistent),
     )
     result = assessed(task, model, start, refinement, form, held, notes, evidence)
     elements = elements_of(result, connections, outcome, held)
     return replace(result, hidden=replace(evidence, elements=elements))
+
+
+def _consistent(task: Task, family: Family, found, given) -> tuple[list[Start], list[np.ndarray]]:
+    """Models of the structure whose transfer function a realisation of the record has, the best first, and their
+    parameters: what the structure lacks bends every realisation differently, and hardly any of them into another one
+    that the structure can have."""
+    matches = []
+    for model, tau, rows in (one for some in (found, *high_passed_realizations(task)) for one in some[:MOST_TRIED]):
+        with contextlib.suppress(ComputationError, np.linalg.LinAlgError):
+            ends = matched(family, *_target(task, model, None), given, starts=FEW_STARTS)
+            if ends.errors[0] < POOR_MATCH:
+                matches.append((float(ends.errors[0]), ends.parameters[0], (model, tau, rows)))
+    matches.sort(key=lambda match: match[0])
+    kept: list[tuple] = []
+    for match in matches:
+        if len(kept) < MOST_CONSISTENT and not any(alike(match[1], other[1], family) for other in kept):
+            kept.append(match)
+    theta = [np.where(np.isfinite(given), np.nan_to_num(given), x)[None] for _, x, _ in kept]
+    return [start_of(task, family.matrices(x[0]), *one[2], "subspace") for x, one in zip(theta, kept)], theta
 
 
 def _matched_merit(task: Task, family: Family, theta, model: HigherOrder, tau: float, rows: int) -> float:

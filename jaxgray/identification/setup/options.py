@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ...mechanics.drives import AbstractDrive, BaseAcceleration, BaseDisplacement, Force
+from ...mechanics.model import hidden_names
 from ...numerics.linear_algebra import triangle
 from ...records import Record
 from .structure import Diagonal, Full, Structure
@@ -70,6 +71,8 @@ def drive_by(record: Record, options: dict) -> AbstractDrive:
     **Raises:** as `drive_of`.
     """
     given = {name: options[name] for name in ("excitation", "input_map", "relative") if name in options}
+    hidden = options.get("hidden", 0)
+    given["hidden"] = () if hidden == "auto" else hidden_names(hidden)
     return drive_of(record, **({"excitation": "force", "input_map": None, "relative": False} | given))
 
 

@@ -307,15 +307,19 @@ class Term(eqx.Module):
         return float(self.values[names.index(name)])
 
 
-def places_of(effect: AbstractEffect, input_names, output_names) -> tuple[Place, ...]:
-    """Every place where an effect can act in a system with these channels, as files and messages name them."""
-    return _places(effect.places, tuple(input_names), tuple(output_names))
+def places_of(effect: AbstractEffect, input_names, output_names, hidden=()) -> tuple[Place, ...]:
+    """Every place where an effect can act in a system with these channels and hidden coordinates, as files and messages
+    name them."""
+    return _places(effect.places, tuple(input_names), tuple(output_names), tuple(hidden))
 
 
 @functools.lru_cache(maxsize=64)
-def _places(kind: str, input_names: tuple[str, ...], output_names: tuple[str, ...]) -> tuple[Place, ...]:
-    pairs = [Place(f"{a}-{b}", i, j) for i, a in enumerate(output_names) for j, b in enumerate(output_names) if i < j]
-    single = [Place(name, k) for k, name in enumerate(output_names)]
+def _places(
+    kind: str, input_names: tuple[str, ...], output_names: tuple[str, ...], hidden: tuple[str, ...]
+) -> tuple[Place, ...]:
+    names = output_names + hidden
+    pairs = [Place(f"{a}-{b}", i, j) for i, a in enumerate(names) for j, b in enumerate(names) if i < j]
+    single = [Place(name, k) for k, name in enumerate(names)]
     if kind == "coordinate":
         return tuple(single)
     if kind == "spring":
@@ -325,7 +329,7 @@ def _places(kind: str, input_names: tuple[str, ...], output_names: tuple[str, ..
     if kind == "input":
         return tuple(Place(name, k) for k, name in enumerate(input_names))
     if kind == "output":
-        return tuple(single)
+        return tuple(single[: len(output_names)])
     if kind == "record":
         return (Place("record", -1),)
     sources = [*output_names, *input_names]
