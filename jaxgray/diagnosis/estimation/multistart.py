@@ -12,7 +12,9 @@ from ...numerics.side_by_side import side_by_side
 from .. import settings
 from ..acceptance import at_its_bound
 from ..findings import NOT_SIMULATED, Reason, Refusal, Rejected
+from ..model.candidate import Candidate
 from ..noise.whitening import NoiseModel
+from ..screening.features import forces_of
 from ..screening.linearization import Stage, rows_of
 from ..screening.score_test import Score
 from ..screening.shortlist import form_of
@@ -388,10 +390,45 @@ def first_fit(context: SearchContext, stage: Stage, score: Score, noise_model: N
                 start, more = (begin, {"last_after": HELD_BACK}) if measured is None else (measured, {})
                 again = refit(context.simulator, start, context.data, noise_model, **more, **options)
                 begun = again if again is not None and again.cost < begun.cost else begun
+        for whole in _in_place_of_element(context, stage, score, noise_model) if fit is None else ():
+            again = refit(context.simulator, whole, context.data, noise_model, **options | {"abandon": abandon})
+            begun = again if begun is None or (again is not None and again.cost < begun.cost) else begun
         fit = begun
         if fit is None:
             return None
     return fit
+
+
+def _in_place_of_element(
+    context: SearchContext, stage: Stage, score: Score, noise_model: NoiseModel
+) -> list[Candidate]:
+    """The model with a law in the place of the spring or damper that the linear model has there, and as large, with the
+    shape that comes nearest: backlash leaves nothing beside it. Empty for other laws, and where there is no such
+    element."""
+    setup, plant, effect, place = context.simulator.setup, stage.plant, score.shape.effect, score.shape.place
+    if not effect.replaces or len(plant.mass) > setup.dofs:
+        return []
+    owner = effect.replaces
+    matrices = {key: np.asarray(getattr(plant, key)) for key in ("mass", "damping", "stiffness")}
+    X, first, second = matrices[owner], place.first, place.second
+    there = float(-X[first, second] if second >= 0 else X[first].sum())
+    if not there > 0.0:
+        return []
+    data, along = context.data[0], stage.motion.v if owner == "damping" else stage.motion.q
+    arm = np.asarray(arm_of(score.shape.term(score.weights), plant))
+    # As large as what it replaces, along the motion.
+    shapes = [dataclasses.replace(score.shape, values=p, basis=(p,)) for p in effect.shapes(score.shape.scales)]
+    made = np.asarray(forces_of(shapes, plant, stage.motion, data))[:, : data.samples]
+    force = there * (along @ arm)[: data.samples]
+    sizes = made @ force / np.maximum(np.sum(made**2, axis=1), 1e-300)
+    terms = [shape.term(np.array([size])) for shape, size in zip(shapes, sizes)]
+    matrices[owner] = X - there * np.outer(arm, arm)
+    begin = stage.candidate.with_entries(setup.entries_of(**matrices))
+    tried = [begin.with_terms((*stage.candidate.terms, term)) for term in terms]
+    options = {"held": context.held, "max_steps": 0}
+    runs = [refit(context.simulator, candidate, context.data, noise_model, **options) for candidate in tried]
+    costs = [np.inf if run is None else run.cost for run in runs]
+    return [tried[int(np.argmin(costs))]]
 
 
 def _amplitudes(term: Term) -> np.ndarray:

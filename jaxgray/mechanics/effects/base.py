@@ -98,10 +98,11 @@ class AbstractEffect(eqx.Module):
     again over displacement; `tied_to_clock`: whether it belongs to the clock of one record, so that another record, or
     another part, may not show it; `own_phase`: whether every record has it with another phase; `onset`: parameters that
     are the time and the width of a sudden change, none for others; `alters`: the matrix that it alters over time, and
-    the parameter that says by how much, none for others; `jumps`: whether the force jumps where the velocity changes
-    sign; `told_apart`: what to do, other than with the inputs, for a record that tells it from its look-alikes, one
-    sentence, "" for nothing; `scheduled`: whether it needs a scheduling channel; `stage`: whether a finding says what
-    is missing of the "model" or wrong with the "record".
+    the parameter that says by how much, none for others; `replaces`: "stiffness" or "damping" whose
+    element at its place may be nothing but this law, "" for neither; `jumps`: whether the force jumps where the
+    velocity changes sign; `told_apart`: what to do, other than with the inputs, for a record that tells it from its
+    look-alikes, one sentence, "" for nothing; `scheduled`: whether it needs a scheduling channel; `stage`: whether a
+    finding says what is missing of the "model" or wrong with the "record".
     """
 
     id: ClassVar[str]
@@ -121,6 +122,7 @@ class AbstractEffect(eqx.Module):
     own_phase: ClassVar[bool] = False
     onset: ClassVar[tuple[str, str] | tuple[()]] = ()
     alters: ClassVar[tuple[str, str] | tuple[()]] = ()
+    replaces: ClassVar[str] = ""
     jumps: ClassVar[bool] = False
     told_apart: ClassVar[str] = ""
     scheduled: ClassVar[bool] = False

@@ -72,6 +72,7 @@ class DeadZoneStiffness(AbstractForceEffect):
     reference = "Nordin & Gutman, Automatica 38 (2002) 1633-1649"
     places = "spring"
     resembles = "hardening"
+    replaces = "stiffness"
 
     def shapes(self, scales):
         return [np.array([1.0, part * scales.q_quantiles[0]]) for part in (0.1, 0.3, 0.6, 1.0)]
