@@ -3,17 +3,20 @@
 import contextlib
 import dataclasses
 import difflib
+import functools
 from collections.abc import Callable, Mapping
 
 import numpy as np
 from jaxtyping import Float
 
 from ..identification import Identification
+from ..identification.identify_hidden import other_models
 from ..identification.validation.structure_test import StructureTest
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS
 from ..mechanics.effects.base import AbstractEffect
 from ..mechanics.linear import corrected
 from ..mechanics.model import MechanicalModel
+from ..numerics.outcomes import ComputationError
 from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
 from ..numerics.runtime import ready, relieve, undisturbed
 from ..numerics.text import listed
@@ -44,8 +47,8 @@ from .data_checks.sample_size import check_enough
 from .estimation.context import SearchContext
 from .estimation.measured_motion import FORCES
 from .findings import Finding
-from .model.baseline import ADOPTED, baseline_of, others_of
-from .model.candidate import Data
+from .model.baseline import ADOPTED, Baseline, baseline_of, others_of
+from .model.candidate import Candidate, Data
 from .model.compile_ahead import compiling_ahead
 from .model.free_run import FreeRun, overall
 from .model.held_out_gain import gain_of
@@ -191,6 +194,20 @@ def diagnose(
     return _ended(found, progress, budget)
 
 
+def _other_models(records: list[Record], baseline: Baseline, progress: AbstractProgress, options: dict):
+    """What gives other linear models of a structure with hidden coordinates, found once however often it is called."""
+
+    @functools.cache
+    def others() -> tuple[Candidate, ...]:
+        progress.stage("looking for other linear models")
+        try:
+            return others_of(records, baseline, other_models(records, options, progress.unlimited))
+        except (ComputationError, np.linalg.LinAlgError):
+            return ()
+
+    return others
+
+
 def _ended(found: Diagnosis, progress: Budgeted, budget: float | None) -> Diagnosis:
     """A diagnosis that says where its budget of time ended the search."""
     if progress.ended is None:
@@ -245,7 +262,7 @@ def _of_clean_records(
         first_trials=force_equation_trials(records, searched, progress, options) if fitted and not unseen else None,
         trials_at_once=by_accelerations(records, options),
         out_of_step=fitted and may_come_into_step(identification),
-        others=others_of(records, identification, baseline.setup),
+        others=_other_models(records, baseline, progress, options) if unseen and baseline.setup.physical else None,
     )
     if model is not None:
         context = dataclasses.replace(context, identified=identified(context.simulator, records, context.data, options))

@@ -32,7 +32,8 @@ class SearchContext:
     `first_trials`: gives its trials of the first law, where they only start refits; `trials_at_once`: whether those are
     refitted with the first candidates, not only where these leave more than noise; `out_of_step`: whether the free run
     is of no use unless what the force equation says brings it into step; `white`: whether the noise is taken for white
-    whatever a refit leaves, not estimated with it; `others`: linear models other than the best one.
+    whatever a refit leaves, not estimated with it; `others`: gives linear models
+    other than the best one, where there may be some.
     """
 
     simulator: Simulator
@@ -51,7 +52,7 @@ class SearchContext:
     trials_at_once: bool = False
     out_of_step: bool = False
     white: bool = False
-    others: tuple[Candidate, ...] = ()
+    others: "Callable[[], tuple[Candidate, ...]] | None" = None
 
 
 def stage_of_candidate(context: SearchContext, candidate: Candidate) -> Stage:

@@ -19,6 +19,10 @@ ADOPTED = "residual of the final model"
 """Source of a noise floor where the record has none that owes nothing to a model."""
 
 
+MUCH_LIKE = 1.5
+"""Ratio of masses and stiffnesses at their coordinates up to which two models are much like one another."""
+
+
 @dataclass(frozen=True)
 class Baseline:
     """`model`; `setup`; `start`: the model with the first state of every record; `own`: whether it is the user's;
@@ -70,11 +74,17 @@ def baseline_of(
     return Baseline(model, setup, _begun(model, entries, records), own, left_out)
 
 
-def others_of(records: list[Record], identification: Identification | None, setup: Setup) -> tuple[Candidate, ...]:
-    """Linear models of an identification other than the best one, with the first state of every record."""
-    evidence = None if identification is None else identification.hidden
-    models = () if evidence is None else evidence.consistent
-    return tuple(_begun(one, setup.entries_of(one.mass, one.damping, one.stiffness), records) for one in models)
+def others_of(records: list[Record], baseline: Baseline, models: list[MechanicalModel]) -> tuple[Candidate, ...]:
+    """Linear models other than the best one, with the first state of every record; those that are much like it are left
+    out."""
+
+    def unlike(model: MechanicalModel) -> bool:
+        pairs = [(np.diag(getattr(m, n)) for m in (model, baseline.model)) for n in ("mass", "stiffness")]
+        return any(np.any(np.maximum(a, b) > MUCH_LIKE * np.minimum(a, b)) for a, b in pairs)
+
+    entries_of = baseline.setup.entries_of
+    others = [one for one in models if unlike(one)]
+    return tuple(_begun(one, entries_of(one.mass, one.damping, one.stiffness), records) for one in others)
 
 
 def _begun(model: MechanicalModel, entries: np.ndarray, records: list[Record]) -> Candidate:

@@ -219,6 +219,12 @@ def _accepted(
     for k, attempt in enumerate(ranked[:judged]):
         context.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
         why, gain, runs = tested(context, state, attempt, floor, given_shape)
+        if why is not None and why.reason is Reason.WORSE:
+            # Under noise at the forces a refit follows the record step by step: perhaps a free run can follow it, too.
+            free = refit_for_free_run(context, state, attempt)
+            again, more, after = tested(context, state, free, floor, given_shape)
+            if again is None:
+                attempt, why, gain, runs = free, again, more, after
         if why is None and gain.ci99_lower < least:
             words = f"coloured noise could do the same, and no more than {gain.ci99_lower:.0f} % is a sure gain"
             why = Refusal(Reason.NO_SURE_GAIN, words)

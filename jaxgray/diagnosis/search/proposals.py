@@ -44,9 +44,9 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     attempts = attempts_of(context, stage, listed, noise_model, state.rejected, known)
     ranked = compared(context, stage, list(attempts.values()))
     forced = from_forces(context, stage, screening)
-    if not (context.trials_at_once or context.white) and _leaves_more_than_noise(context, ranked):
-        forced += from_first_trials(context, stage, screening)
-    forced += from_other_models(context, stage)
+    if _leaves_more_than_noise(context, ranked):
+        forced += [] if context.trials_at_once or context.white else from_first_trials(context, stage, screening)
+        forced += from_other_models(context, stage)
     if forced:
         ranked = _better_ones(compared(context, stage, ranked + forced))
     if ranked:

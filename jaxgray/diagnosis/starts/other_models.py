@@ -20,7 +20,7 @@ def from_other_models(context: SearchContext, stage: Stage) -> list[Attempt]:
     **Arguments:** `context`; `stage`: the best linear model.
     """
     found: list[Attempt] = []
-    for candidate in () if stage.candidate.terms else context.others:
+    for candidate in () if stage.candidate.terms or context.others is None else context.others():
         context.progress.stage("looking from another linear model")
         other, data = stage_of_candidate(context, candidate), context.data[0]
         looked = other, data, context.catalogue, context.names

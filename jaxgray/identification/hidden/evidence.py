@@ -52,9 +52,7 @@ class HiddenEvidence:
     representative and no physical structure; `set_entries`: entries of each matrix that the form sets; `undetermined`:
     entries that inputs and outputs leave open; `combinations`: what they determine instead, in words; `rank` and
     `parameters` of the structure; `elements`: masses, dampers and springs of a structure; `alternatives`: other models
-    of the same structure, as likely as the model; `order`: how the number was found, None where it was given;
-    `consistent`: where the structure does not have the transfer function of the record, models of it that a part of the
-    record's realisations agree with.
+    of the same structure, as likely as the model; `order`: how the number was found, None where it was given.
     """
 
     names: tuple[str, ...]
@@ -67,7 +65,6 @@ class HiddenEvidence:
     elements: tuple[Element, ...]
     alternatives: tuple[MechanicalModel, ...]
     order: OrderEvidence | None = None
-    consistent: tuple[MechanicalModel, ...] = ()
 
     def kind(self, matrix: str, row: int, column: int) -> str:
         """Of an entry: "set" by the canonical form, "canonical" (it belongs to the representative), "open" (inputs and

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...mechanics.model import MechanicalModel
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from ..hidden import Connections
@@ -15,7 +16,7 @@ from ..validation.reach import check_reach
 from .canonical import canonical
 from .request import HiddenRequest, example
 from .start import realizations_of
-from .structured import structured
+from .structured import consistent_models, structured
 from .task import Task, collocated, run_of
 
 
@@ -34,6 +35,27 @@ def identify_hidden(
 
     **Raises:** `ValueError` where the request does not fit the record; `ComputationError` where no model is found.
     """
+    task, found, connections = _begun(records, held_out, request, progress)
+    if connections is None:
+        return canonical(task, found, tuple(notes))
+    return structured(task, found, connections, tuple(notes))
+
+
+def other_models(records: list[Record], options: dict, progress: AbstractProgress) -> list[MechanicalModel]:
+    """Models of a structure with hidden coordinates that some realisation of the records agrees with, not refined: what
+    the structure lacks has bent them less than the one whose free run is nearest.
+
+    **Arguments:** `records`; `options`: of `identify`, connections among them; `progress`.
+
+    **Raises:** as `identify_hidden`.
+    """
+    request = HiddenRequest.of(options).named(options["hidden"], records[0].output_names)
+    task, found, connections = _begun(records, [], request, progress)
+    return [] if connections is None else consistent_models(task, found, connections)
+
+
+def _begun(records: list[Record], held_out: list[Record], request: HiddenRequest, progress: AbstractProgress):
+    """The task, realisations, and connections, None for the canonical form."""
     first = records[0]
     drive = drive_of(first, request.excitation, request.input_map, request.relative, request.names)
     connections = None
@@ -56,6 +78,4 @@ def identify_hidden(
         runs = [run_of(found[0][0], task, s) for s in complete]
         task = replace(task, complete=filled(records, scaling, runs))
         found = realizations_of(task)
-    if connections is None:
-        return canonical(task, found, tuple(notes))
-    return structured(task, found, connections, tuple(notes))
+    return task, found, connections

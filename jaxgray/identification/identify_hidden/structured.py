@@ -9,6 +9,7 @@ import scipy.linalg
 from jaxtyping import Float
 
 from ...mechanics.drives import Force
+from ...mechanics.model import MechanicalModel
 from ...numerics.outcomes import ComputationError
 from ..hidden import (
     Connections,
@@ -55,14 +56,8 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
             "Base excitation determines M⁻¹D and M⁻¹K only: the model is normalised to "
             f"mass[{connections.names[0]}] = 1; give a mass with fix to set the scale.",
         )
-    form = connections.structure.scaled(np.asarray(task.scaling.coordinates))
-    family = Family.of(form, task.setting)
-    units = _element_units(task, form)
-    position = {"mass": 0, "damping": task.dofs, "stiffness": task.dofs + len(connections.dampers)}
-    held = np.zeros(len(units), bool)
-    given = np.full(len(units), np.nan)
-    for (owner, k), value in known.items():
-        held[position[owner] + k], given[position[owner] + k] = True, value * units[position[owner] + k]
+    form, family, units, given = _family(task, connections, known)
+    held = np.isfinite(given)
 
     task.progress.stage("structure")
     free = None
@@ -121,11 +116,31 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
         outcome.parameters,
         (),
         alternatives,
-        consistent=tuple(model_of(task, one, one, known) for one in consistent),
     )
     result = assessed(task, model, start, refinement, form, held, notes, evidence)
     elements = elements_of(result, connections, outcome, held)
     return replace(result, hidden=replace(evidence, elements=elements))
+
+
+def _family(task: Task, connections: Connections, known):
+    """A structure in the units of the task: its assemblies, its transfer functions, the units of its elements, and the
+    elements that are given, NaN for the others."""
+    form = connections.structure.scaled(np.asarray(task.scaling.coordinates))
+    units = _element_units(task, form)
+    position = {"mass": 0, "damping": task.dofs, "stiffness": task.dofs + len(connections.dampers)}
+    given = np.full(len(units), np.nan)
+    for (owner, k), value in known.items():
+        given[position[owner] + k] = value * units[position[owner] + k]
+    return form, Family.of(form, task.setting), units, given
+
+
+def consistent_models(task: Task, found, connections: Connections) -> list[MechanicalModel]:
+    """Models of the structure whose transfer function a realisation of the record has, the best first, not refined."""
+    known = fixed_elements(task.request.fix, connections)
+    if not isinstance(task.drive, Force):
+        known.setdefault(("mass", 0), 1.0)
+    _, family, _, given = _family(task, connections, known)
+    return [model_of(task, one, one, known) for one in _consistent(task, family, found, given)[0]]
 
 
 def _consistent(task: Task, family: Family, found, given) -> tuple[list[Start], list[np.ndarray]]:
