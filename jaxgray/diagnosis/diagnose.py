@@ -141,9 +141,9 @@ def diagnose(
     if not isinstance(max_effects, int) or max_effects < 0:
         raise ValueError(f"max_effects={max_effects!r}; give a whole number, 0 or more.")
     searched = chosen_effects(catalogue, only, exclude)
-    judged = {"model": model, "simulator": simulator, "simulated": simulated}
-    if others := [name for name, value in judged.items() if value is not None and "hidden" in options]:
-        raise ValueError(f"hidden is about a model that is fitted; leave it out with {others[0]}.")
+    for name, given in (("model", model), ("simulator", simulator), ("simulated", simulated)):
+        if given is not None and "hidden" in options:
+            raise ValueError(f"hidden is about a model that is fitted; leave it out with {name}.")
     if simulated is not None:
         judged = {"model": model, "simulator": simulator, "parameters": parameters}
         if given := [name for name, value in judged.items() if value is not None]:

@@ -32,8 +32,8 @@ class SearchContext:
     `first_trials`: gives its trials of the first law, where they only start refits; `trials_at_once`: whether those are
     refitted with the first candidates, not only where these leave more than noise; `out_of_step`: whether the free run
     is of no use unless what the force equation says brings it into step; `white`: whether the noise is taken for white
-    whatever a refit leaves, not estimated with it; `others`: gives linear models
-    other than the best one, where there may be some.
+    whatever a refit leaves, not estimated with it; `others`: gives linear models other than the best one, where there
+    may be some.
     """
 
     simulator: Simulator

@@ -19,7 +19,7 @@ from ..screening.linearization import as_answered, sampled_plant, stage_of
 from ..screening.projections import Products
 from ..screening.scales import scales_at
 from ..screening.spectral_lines import lines_of
-from .context import SearchContext, noise_model_of
+from .context import SearchContext, noise_model_of, stage_of_candidate
 from .gauss_newton import Refit, refit
 from .normal_equations import Equations
 
@@ -100,8 +100,7 @@ def products_of(
     """
     data, (inputs, outputs) = context.data[0], context.names
     term = candidate.terms[-1]
-    stage = stage_of(context.simulator, candidate.with_terms(candidate.terms[:-1]), data)
-    kept = np.concatenate([~context.held, np.ones(stage.J.shape[2] - len(context.held), bool)])
+    stage = stage_of_candidate(context, candidate.with_terms(candidate.terms[:-1]))
     whole = stage_of(context.simulator, candidate, data)
     hidden = context.simulator.setup.unmeasured
     scales = scales_at(stage.plant, whole.motion, data, inputs, outputs, lines_of(stage.e, data), hidden)
@@ -119,4 +118,4 @@ def products_of(
         hidden=hidden,
     )
     responses = as_answered(stage, made, data).responses
-    return Products(noise_model, stage.e, stage.J[:, :, kept], responses, data.kept), tried
+    return Products(noise_model, stage.e, stage.J, responses, data.kept), tried

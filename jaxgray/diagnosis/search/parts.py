@@ -123,7 +123,9 @@ def _cut(context: SearchContext, size: int) -> tuple[SearchContext, list[int]]:
     begins = [_liveliest(d, size) for d in context.data]
     data = [d.part(begin, size) for d, begin in zip(context.data, begins)]
     held = [d.part(_liveliest(d, size), size) for d in context.validation]
-    return dataclasses.replace(context, data=data, validation=held, catalogue=lasting, first_trials=None), begins
+    # Both are about the whole records, the other models with their first states.
+    known = {"first_trials": None, "others": None}
+    return dataclasses.replace(context, data=data, validation=held, catalogue=lasting, **known), begins
 
 
 def _liveliest(data: Data, size: int) -> int:

@@ -30,7 +30,8 @@ class HiddenRequest:
         """What some options of `identify` ask for, those that are not among them at their defaults."""
         usual = {"structure": None, "fix": None, "noise": "output-error", "excitation": "force", "input_map": None}
         usual |= {"relative": False, "time_constants": None, "block_rows": None, "weight": "moesp", "map": "exact"}
-        return cls(**{name: options.get(name, value) for name, value in (usual | {"refine": True}).items()})
+        usual |= {"refine": True}
+        return cls(**{name: options.get(name, value) for name, value in usual.items()})
 
     def named(self, hidden, outputs: tuple[str, ...]) -> "HiddenRequest":
         """The request with its hidden coordinates, its structure as text.

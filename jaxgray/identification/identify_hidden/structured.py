@@ -49,9 +49,8 @@ AS_LIKELY = 6.0
 def structured(task: Task, found, connections: Connections, notes: tuple[str, ...]) -> Identification:
     """Masses, dampers and springs of a structure."""
     drive = task.drive
-    known = fixed_elements(task.request.fix, connections)
-    if not isinstance(drive, Force) and not any(owner == "mass" for owner, _ in known):
-        known["mass", 0] = 1.0
+    known, normalised = _known(task, connections)
+    if normalised:
         notes += (
             "Base excitation determines M⁻¹D and M⁻¹K only: the model is normalised to "
             f"mass[{connections.names[0]}] = 1; give a mass with fix to set the scale.",
@@ -122,6 +121,14 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
     return replace(result, hidden=replace(evidence, elements=elements))
 
 
+def _known(task: Task, connections: Connections) -> tuple[dict[tuple[str, int], float], bool]:
+    """Elements that are given, in the record's units; and whether the first mass is set to 1 among them: where none is
+    given, an excited base leaves the scale of masses open."""
+    known = fixed_elements(task.request.fix, connections)
+    normalised = not isinstance(task.drive, Force) and not any(owner == "mass" for owner, _ in known)
+    return (known | {("mass", 0): 1.0} if normalised else known), normalised
+
+
 def _family(task: Task, connections: Connections, known):
     """A structure in the units of the task: its assemblies, its transfer functions, the units of its elements, and the
     elements that are given, NaN for the others."""
@@ -136,9 +143,7 @@ def _family(task: Task, connections: Connections, known):
 
 def consistent_models(task: Task, found, connections: Connections) -> list[MechanicalModel]:
     """Models of the structure whose transfer function a realisation of the record has, the best first, not refined."""
-    known = fixed_elements(task.request.fix, connections)
-    if not isinstance(task.drive, Force):
-        known.setdefault(("mass", 0), 1.0)
+    known, _ = _known(task, connections)
     _, family, _, given = _family(task, connections, known)
     return [model_of(task, one, one, known) for one in _consistent(task, family, found, given)[0]]
 
