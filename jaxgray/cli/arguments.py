@@ -69,6 +69,18 @@ class Reading:
     output_units: Annotated[str | None, _option("--output-units", metavar="M,…", help="Likewise of the outputs.")] = (
         None
     )
+    own_times: Annotated[
+        bool | None,
+        typer.Option(
+            "--own-times/--uniform",
+            help="Whether rows keep the times of their column, empty cells not sampled (default: where it matters).",
+            show_default=False,
+        ),
+    ] = None
+    also: Annotated[
+        list[str] | None,
+        _option("--also", metavar="FILE:COLUMN,…", help="Columns of another file with times of its own; repeatable."),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,6 +57,8 @@ def read(path: Path, file: File, channels, notes: list[str]) -> Record:
             decimal=file.decimal,
             input_units=None if file.input_units is None else words(file.input_units),
             output_units=None if file.output_units is None else words(file.output_units),
+            own_times=file.own_times,
+            also=file.also or (),
         )
     for one in caught:
         if issubclass(one.category, RecordWarning):

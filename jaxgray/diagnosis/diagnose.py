@@ -71,6 +71,7 @@ from .search.modal_restart import from_other_modes
 from .search.parts import Searched, search
 from .search.state import SearchState
 from .simulated_outputs import as_if_measured, stand_in
+from .stamped import diagnose_stamped
 from .starts.user_model import identified, with_first_states
 
 NO_PLACES = (
@@ -144,6 +145,21 @@ def diagnose(
     for name, given in (("model", model), ("simulator", simulator), ("simulated", simulated)):
         if given is not None and "hidden" in options:
             raise ValueError(f"hidden is about a model that is fitted; leave it out with {name}.")
+    stamped = [r for r in (*_listed(record), *_listed(validation)) if r.has_own_times]
+    if stamped:
+        if given := [name for name, value in (("simulator", simulator), ("simulated", simulated)) if value is not None]:
+            raise ValueError(
+                f"{given[0]} runs at a uniform sampling time, and the record has rows at times of its own; give "
+                "record.on_grid, or a model."
+            )
+        settled = {"catalogue": catalogue, "only": only, "exclude": exclude, "max_effects": max_effects}
+        settled |= {"holdout": holdout, "seed": seed, "progress": progress, "model": model}
+
+        def judge(uniform, unseen):
+            return diagnose(uniform, validation=unseen or None, **settled, **options)
+
+        groups = _listed(record), _listed(validation)
+        return _ended(diagnose_stamped(judge, *groups, model, progress.unlimited, options), progress, budget)
     if simulated is not None:
         judged = {"model": model, "simulator": simulator, "parameters": parameters}
         if given := [name for name, value in judged.items() if value is not None]:
@@ -169,14 +185,11 @@ def diagnose(
         return _ended(found, progress, budget)
     if parameters is not None:
         raise ValueError("parameters are those of a simulator; give simulator=, a function of inputs, forces, numbers.")
-    records = [record] if isinstance(record, Record) else list(record)
-    separate = validation is not None
-    if separate:
-        held = [validation] if isinstance(validation, Record) else list(validation)
-    elif len(records) > 1:
+    records, held = _listed(record), _listed(validation)
+    separate = validation is not None or len(records) > 1
+    if validation is None and separate:
         records, held = records[:-1], records[-1:]
-        separate = True
-    else:
+    elif not separate:
         first, last = records[0].split(holdout)
         records, held = [first], [last]
     check_compatible(records + held)
@@ -206,6 +219,10 @@ def _other_models(records: list[Record], baseline: Baseline, progress: AbstractP
             return ()
 
     return others
+
+
+def _listed(record: Record | list[Record] | None) -> list[Record]:
+    return [] if record is None else [record] if isinstance(record, Record) else list(record)
 
 
 def _ended(found: Diagnosis, progress: Budgeted, budget: float | None) -> Diagnosis:
@@ -307,8 +324,7 @@ def _of_simulator(
     if model is not None or options:
         more = ", ".join(["model"] * (model is not None) + sorted(options))
         raise ValueError(f"{more} given with a simulator, which says itself how the system moves; leave it out.")
-    records = [record] if isinstance(record, Record) else list(record)
-    held = [] if validation is None else [validation] if isinstance(validation, Record) else list(validation)
+    records, held = _listed(record), _listed(validation)
     check_compatible(records + held)
     if not held and len(records) > 1:
         records, held = records[:-1], records[-1:]

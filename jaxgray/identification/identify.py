@@ -10,7 +10,7 @@ from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready, relieve, undisturbed
-from ..records import Record, check_compatible, preflight
+from ..records import Record, check_compatible, on_one_grid, preflight
 from .identify_hidden import HiddenRequest, identify_auto, identify_hidden, wants_hidden
 from .initialization.base_start import MassKnowledge
 from .initialization.guard import lost
@@ -26,6 +26,7 @@ from .setup.options import drive_of, fixed_entries, parse_fix, pick, with_known
 from .setup.prediction import Batch, Setting
 from .setup.preparation import Signals, prepare, scaling_of
 from .setup.structure import Structure, structure_of
+from .stamped import identify_stamped
 from .subspace.grid import default_time_constants, score, usable_block_rows
 from .subspace.projection import WEIGHTS
 from .subspace.realization import MAPS
@@ -103,7 +104,18 @@ def identify(
     progress = Silent() if progress is None else progress
     records = _as_records(record, "record")
     held_out = [] if validation is None else _as_records(validation, "validation")
-    check_compatible(records + held_out)
+    given = on_one_grid(records + held_out)
+    records, held_out = given[: len(records)], given[len(records) :]
+    check_compatible(given)
+    if any(r.has_own_times for r in records + held_out):
+        asked = {"refine": refine, "time_constants": time_constants, "block_rows": block_rows, "weight": weight}
+        asked |= {"map": map, "input_matrix_from": input_matrix_from, "excitation": excitation, "input_map": input_map}
+        asked |= {"relative": relative, "structure": structure, "fix": fix, "noise": noise, "hidden": hidden}
+
+        def on_grid(uniform, unseen):
+            return identify(uniform, validation=unseen or None, progress=progress, **asked)
+
+        return identify_stamped(on_grid, records, held_out, progress)
     notes = _preflight(records)
     if noise not in ("output-error", "innovations"):
         raise ValueError(f"noise={noise!r} is not known; choose 'output-error' or 'innovations'.")

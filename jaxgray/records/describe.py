@@ -20,6 +20,10 @@ def describe(record) -> str:
     )
     if record.start_time:
         head += f", from {record.start_time:.6g} s"
+    if record.stamps is not None:
+        head += (
+            f", from {len(record.stamps.time)} rows at times of their own, up to {record.stamps.jitter:.3g} samples off"
+        )
     rows = [("", "name", "unit", "rms", "min", "max", "missing", "")]
     for k, name in enumerate(record.input_names):
         rows.append(("input", name, record.input_units[k], *_numbers(record.u[:, k]), ""))

@@ -82,3 +82,30 @@ def concatenate(records: Sequence[Record]) -> Record:
         y=np.concatenate([piece.y for piece in records]),
         scheduling=scheduling,
     )
+
+
+def on_one_grid(records: Sequence[Record]) -> list[Record]:
+    """Records with rows at times of their own on grids of one sampling time: that of the uniform ones among the
+    records, or the shortest.
+
+    **Arguments:**
+
+    - `records`: of one system.
+
+    **Returns:** the records, those that are uniform as they are.
+    """
+    uniform = [record.sampling_time for record in records if not record.has_own_times]
+    step = uniform[0] if uniform else min((record.sampling_time for record in records), default=0.0)
+    return [_with_step(record, step) if record.has_own_times else record for record in records]
+
+
+def _with_step(record: Record, step: float) -> Record:
+    if record.sampling_time == step:
+        return record
+    rows = record.stamps
+    y = np.where(rows.place >= 0, rows.y, np.nan)
+    # Inputs before the first of its rows hold on.
+    after = max(int(np.argmax((rows.place >= 0).any(axis=1))) - 1, 0)
+    on_grid = Record.from_stamps(rows.time[after:], rows.u[after:], y[after:], hold=rows.hold, sampling_time=step)
+    names = ("input_names", "output_names", "input_units", "output_units", "measured")
+    return replace(on_grid, **{name: getattr(record, name) for name in names})

@@ -139,7 +139,7 @@ def _doubled(record: Record, _: list[_Output]) -> Iterator[RecordFinding]:
 
 
 def _missing(record: Record, _: list[_Output]) -> Iterator[RecordFinding]:
-    gone = record.missing
+    gone = record.lost
     rows = gone.all(axis=1)
     if rows.any():
         yield _gap("record", rows, record, f"{int(rows.sum())} of {record.samples} rows are missing")

@@ -14,6 +14,7 @@ from jaxgray.records.containers import read_hdf5, read_mat, read_npy, read_npz, 
 from jaxgray.records.delimited import read_delimited
 from jaxgray.records.memory import TIME_NAMES, table_in_memory
 from jaxgray.records.record import Record
+from jaxgray.records.stamped import error_if_uniform, held, joined
 from jaxgray.records.table import Table
 from jaxgray.records.universal import read_universal
 
@@ -34,6 +35,9 @@ READERS = {
 }
 JITTER_WARNING = 0.01
 
+NEGLIGIBLE = 0.01
+"""Error of the outputs at uniform times, in standard deviations of their noise, up to which a uniform clock serves."""
+
 
 class RecordWarning(UserWarning):
     """Something in a file that was read all the same, and should be known."""
@@ -53,12 +57,15 @@ def read_record(
     decimal: str | None = None,
     input_units: Sequence[str] | None = None,
     output_units: Sequence[str] | None = None,
+    own_times: bool | None = None,
+    also: str | Sequence[str] = (),
 ) -> Record:
     """Read a record from csv (tsv, txt, dat), npz, npy, mat, parquet, hdf5 or uff, or take it from a table in memory.
 
     Headers may carry units, `force [N]` or `force (N)`, which are stripped from the name; time in `ms`, `µs`,
     `min` or `h` becomes seconds. Columns of a 2-D array `u` are `u[0]`, `u[1]`, …. Rows that are missing from
-    the time column become missing outputs, with a `RecordWarning`.
+    the time column become missing outputs, with a `RecordWarning`. Where the rows follow no clock, or wander from it by
+    more than the noise hides, they keep times of their own (`Record.from_stamps`).
 
     **Arguments:**
 
@@ -74,6 +81,10 @@ def read_record(
     - `scheduling`: name of a column on which the system may depend; default none.
     - `delimiter`, `decimal`: of delimited text; default found in the file.
     - `input_units`, `output_units`: units instead of those in the headers.
+    - `own_times`: whether rows keep the times of their column. Empty cells were not sampled then, and inputs hold on
+        through them (or lie on straight lines, with a linear hold). Default where it matters; False: never.
+    - `also`: columns of other files with time columns of their own, "camera.csv:x,y"; their rows join in, at times of
+        their own. `inputs` and `outputs` name them like those of the first file.
 
     **Returns:** a `Record`.
 
@@ -81,6 +92,10 @@ def read_record(
     """
     inputs, outputs = _name_list("inputs", inputs), _name_list("outputs", outputs)
     table = _open(path, delimiter, decimal)
+    if also:
+        if sampling_time is not None or scheduling is not None or own_times is False:
+            raise ValueError("also joins rows at times of their own; leave out sampling_time, scheduling, own_times.")
+        table, time, own_times = joined(table, time, (also,) if isinstance(also, str) else also, _open), "t", True
     positions = {
         "inputs": [table.find("inputs", name) for name in inputs],
         "outputs": [table.find("outputs", name) for name in outputs],
@@ -92,14 +107,29 @@ def read_record(
         positions["time"] = [clock_column]
     _no_column_twice(table, positions)
 
-    u = _columns(table, "inputs", positions["inputs"])
+    if own_times and clock_column is None:
+        raise ValueError("own_times is True and there is no time column; name it with time.")
+    u = _columns(table, "inputs", positions["inputs"], gaps=bool(own_times))
     y = _columns(table, "outputs", positions["outputs"], samples=len(u))
     p = None
     if scheduling is not None:
         p = _columns(table, "scheduling", positions["scheduling"], samples=len(u))[:, 0]
     start_time = 0.0
+    more = {
+        "input_names": _names(table, positions["inputs"]),
+        "output_names": _names(table, positions["outputs"]),
+        "input_units": _units(table, positions["inputs"]) if input_units is None else input_units,
+        "output_units": _units(table, positions["outputs"]) if output_units is None else output_units,
+        "hold": hold,
+        "measured": measured,
+    }
     if clock_column is not None:
-        clock = _read_clock(table, clock_column, sampling_time, samples=len(u))
+        times, off = _times(table, clock_column, samples=len(u)), 0.0
+        if own_times is not False and scheduling is None and sampling_time is None:
+            off = error_if_uniform(times, y)
+        if own_times or off > NEGLIGIBLE:
+            return _at_own_times(table, clock_column, times, u, y, more)
+        clock = _read_clock(table, clock_column, sampling_time, times, off)
         if clock.samples > len(u):
             u, y, p = _fill(clock, u, y, p)
         if sampling_time is None:
@@ -110,12 +140,7 @@ def read_record(
         u,
         y,
         sampling_time,
-        input_names=_names(table, positions["inputs"]),
-        output_names=_names(table, positions["outputs"]),
-        input_units=_units(table, positions["inputs"]) if input_units is None else input_units,
-        output_units=_units(table, positions["outputs"]) if output_units is None else output_units,
-        hold=hold,
-        measured=measured,
+        **more,
         scheduling=p,
         scheduling_name=None if scheduling is None else _names(table, positions["scheduling"])[0],
         start_time=start_time,
@@ -193,17 +218,36 @@ def _no_column_twice(table: Table, positions: dict[str, list[int]]) -> None:
             seen[k] = argument
 
 
-def _columns(table: Table, argument: str, positions: list[int], samples: int | None = None) -> np.ndarray:
+def _at_own_times(table: Table, clock: int, times: np.ndarray, u: np.ndarray, y: np.ndarray, more: dict) -> Record:
+    """A record of rows at the times of their column."""
+    try:
+        u = held(times, u, more["hold"])
+        known = np.isfinite(u).all(axis=1)
+        record = Record.from_stamps(times[known], u[known], y[known], **more)
+    except ValueError as error:
+        raise ValueError(f"time column {table.names[clock]!r} of {table.source}: {error}") from None
+    warnings.warn(
+        f"{table.source}: the rows have times of their own, up to {record.stamps.jitter:.2g} samples off a uniform "
+        f"grid of {record.sampling_time:.6g} s, and keep them.",
+        RecordWarning,
+        stacklevel=3,
+    )
+    return record
+
+
+def _columns(
+    table: Table, argument: str, positions: list[int], samples: int | None = None, *, gaps: bool = False
+) -> np.ndarray:
     columns = [table.numbers(k) for k in positions]
     for k, column in zip(positions, columns):
         _same_length(table, k, column, len(columns[0]) if samples is None else samples)
-        gaps = np.flatnonzero(np.isnan(column))
-        if argument != "outputs" and gaps.size:
+        empty = np.flatnonzero(np.isnan(column))
+        if argument != "outputs" and empty.size and not gaps:
             raise ValueError(
-                f"{argument}: column {table.names[k]!r} of {table.source} has {gaps.size} missing values, "
-                f"the first at {table.row(gaps[0])}; only outputs may be missing: fill or cut them."
+                f"{argument}: column {table.names[k]!r} of {table.source} has {empty.size} missing values, "
+                f"the first at {table.row(empty[0])}; only outputs may be missing: fill or cut them."
             )
-        if gaps.size == len(column):
+        if empty.size == len(column):
             raise ValueError(f"{argument}: column {table.names[k]!r} of {table.source} has no value at all.")
     return np.column_stack(columns)
 
@@ -216,10 +260,16 @@ def _same_length(table: Table, position: int, column: np.ndarray, samples: int) 
         )
 
 
-def _read_clock(table: Table, position: int, sampling_time: float | None, samples: int) -> Clock:
-    name = table.names[position]
-    numbers = table.numbers(position) * seconds_per(table.unit(position), name)
+def _times(table: Table, position: int, samples: int) -> np.ndarray:
+    """A time column in s."""
+    numbers = table.numbers(position) * seconds_per(table.unit(position), table.names[position])
     _same_length(table, position, numbers, samples)
+    return numbers
+
+
+def _read_clock(table: Table, position: int, sampling_time: float | None, numbers: np.ndarray, error: float) -> Clock:
+    """The clock of a time column; `error` that it makes of the outputs, in units of their noise."""
+    name = table.names[position]
     try:
         clock = read_clock(numbers, sampling_time=sampling_time, row=table.row)
     except ValueError as error:
@@ -235,7 +285,8 @@ def _read_clock(table: Table, position: int, sampling_time: float | None, sample
     if clock.jitter > JITTER_WARNING:
         warnings.warn(
             f"{table.source}: the time column is up to {100 * clock.jitter:.2g} % of a sampling time off a "
-            f"uniform grid of {clock.sampling_time:.6g} s, which is used.",
+            f"uniform grid of {clock.sampling_time:.6g} s, which is used"
+            + (f": an error of {error:.1g} of the outputs' noise." if error else "."),
             RecordWarning,
             stacklevel=3,
         )

@@ -16,13 +16,17 @@ from jaxgray.records.channels import (
 )
 from jaxgray.records.describe import describe
 from jaxgray.records.periods import between_periods, find_period
+from jaxgray.records.stamped import Stamps, grid_of
 
 HOLDS = ("zero", "linear", "band-limited")
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Record:
-    """One uniformly sampled record of inputs and outputs, immutable.
+    """One record of inputs and outputs at a uniform sampling time, immutable.
+
+    A record of rows at times of their own (`Record.from_stamps`) has them as `stamps`, and its `u` and `y` are on a
+    uniform grid beside them; `identify` and `diagnose` go by the stamps.
 
     **Arguments:**
 
@@ -39,6 +43,7 @@ class Record:
     - `scheduling`: one more channel `(samples,)` on which the system may depend; default none.
     - `scheduling_name`: its name; default `p` where there is such a channel.
     - `start_time`: time of the first sample in s; default 0.
+    - `stamps`: rows at times of their own; default none. `Record.from_stamps` makes them.
 
     **Raises:** `ValueError` where an argument does not fit, saying which and what to do.
     """
@@ -55,6 +60,7 @@ class Record:
     scheduling: Float[np.ndarray, " samples"] | None
     scheduling_name: str | None
     start_time: float
+    stamps: Stamps | None
 
     # Written out, because it takes more than it stores: lists, single channels, one word for all outputs.
     def __init__(
@@ -72,6 +78,7 @@ class Record:
         scheduling=None,
         scheduling_name=None,
         start_time=0.0,
+        stamps=None,
     ):
         def store(name, value):
             object.__setattr__(self, name, value)
@@ -129,6 +136,60 @@ class Record:
             store("scheduling_name", None)
         else:
             raise ValueError(f"scheduling_name is {scheduling_name!r} but scheduling is missing; give the channel too.")
+        store("stamps", stamps)
+
+    @classmethod
+    def from_stamps(cls, time, u, y, *, hold="zero", sampling_time=None, **more) -> "Record":
+        """A record of rows at times of their own: jittered, irregular, or with channels at several rates.
+
+        Channels of other rates share one table: a row for every time at which anything was sampled, inputs with the
+        value that they have then, outputs NaN where they have no sample.
+
+        **Arguments:**
+
+        - `time`: of every row in s, increasing.
+        - `u`: inputs `(rows, inputs)`, finite.
+        - `y`: outputs `(rows, outputs)`, NaN where a row has no sample.
+        - `hold`: the input from a row to the next, `"zero"` (constant, default) or `"linear"`.
+        - `sampling_time`: step of the grid in s; default by the rows, about their mean step.
+        - `more`: names, units and measured quantities, as for `Record`.
+
+        **Returns:** a `Record` on a uniform grid, its rows in `stamps`.
+
+        **Raises:** `ValueError` where an argument does not fit.
+        """
+        u, y = as_channels("u", u), as_channels("y", y)
+        time = as_channels("time", time)[:, 0]
+        if not len(time) == len(u) == len(y):
+            raise ValueError(f"time has {len(time)} rows, u {len(u)} and y {len(y)}; give all the same number.")
+        for name, values in (("time", time), ("u", u)):
+            if not np.isfinite(values).all():
+                row = np.argwhere(~np.isfinite(values))[0][0]
+                raise ValueError(f"{name} is not finite at row {row}; only outputs may be missing.")
+        back = np.flatnonzero(np.diff(time) <= 0)
+        if back.size:
+            k = back[0]
+            raise ValueError(
+                f"time does not increase at row {k + 1} ({time[k]:.9g} s, then {time[k + 1]:.9g} s); sort the rows and "
+                "put those of one time together."
+            )
+        if hold not in ("zero", "linear"):
+            raise ValueError(f"hold is {hold!r}; with times of their own rows have 'zero' or 'linear'.")
+        if "scheduling" in more:
+            raise ValueError("scheduling is a channel of uniform records; leave it out.")
+        step = None if sampling_time is None else as_seconds("sampling_time", sampling_time)
+        grid = grid_of(time, u, y, hold, step)
+        return cls(grid.u, grid.y, grid.step, hold=grid.hold, start_time=grid.start, stamps=grid.stamps, **more)
+
+    @property
+    def has_own_times(self) -> bool:
+        """Whether its rows count, at times of their own, and not the channels on the grid."""
+        return self.stamps is not None and self.stamps.counted
+
+    @property
+    def on_grid(self) -> "Record":
+        """The record as its channels on the grid are, without regard to the times of its rows."""
+        return replace(self, stamps=replace(self.stamps, counted=False)) if self.has_own_times else self
 
     @property
     def samples(self) -> int:
@@ -166,6 +227,12 @@ class Record:
         return np.isnan(self.y)
 
     @property
+    def lost(self) -> Bool[np.ndarray, "samples outputs"]:
+        """True where an output sample is missing that was due: not between the rows of an output at times of its
+        own."""
+        return self.missing if self.stamps is None else self.missing & self.stamps.sampled(self.samples)
+
+    @property
     def has_missing(self) -> bool:
         """Whether any output sample is missing."""
         return bool(self.missing.any())
@@ -185,12 +252,14 @@ class Record:
                 f"record[{samples.start}:{samples.stop}] leaves {max(0, last - first)} of {self.samples} "
                 "samples; a record needs at least 2."
             )
+        start = self.start_time + first * self.sampling_time
         return replace(
             self,
             u=self.u[first:last],
             y=self.y[first:last],
             scheduling=None if self.scheduling is None else self.scheduling[first:last],
-            start_time=self.start_time + first * self.sampling_time,
+            start_time=start,
+            stamps=None if self.stamps is None else self.stamps.between(first, last),
         )
 
     def between(self, start: float | None = None, stop: float | None = None) -> "Record":
@@ -258,11 +327,14 @@ class Record:
         if kind not in ("constant", "linear"):
             raise ValueError(f"kind is {kind!r}; give 'constant' or 'linear'.")
         degree = 0 if kind == "constant" else 1
-        return replace(
-            self,
-            u=without_trend(self.u, degree) if inputs else self.u,
-            y=without_trend(self.y, degree) if outputs else self.y,
-        )
+        u = without_trend(self.u, degree) if inputs else self.u
+        y = without_trend(self.y, degree) if outputs else self.y
+        if not self.has_own_times:
+            return replace(self, u=u, y=y)
+        if degree:
+            raise ValueError("kind is 'linear'; of rows at times of their own only the 'constant' is taken out.")
+        off = (np.mean(self.u - u, axis=0), np.nanmean(self.y - y, axis=0))
+        return replace(self, u=u, y=y, stamps=self.stamps.less(*off))
 
     def select(self, *, inputs=None, outputs=None) -> "Record":
         """Some of the channels, in the order asked for.
@@ -287,6 +359,7 @@ class Record:
             input_units=tuple(self.input_units[k] for k in i),
             output_units=tuple(self.output_units[k] for k in j),
             measured=tuple(self.measured[k] for k in j),
+            stamps=None if self.stamps is None else self.stamps.select(i, j),
         )
 
     def clean_stretches(self, min_samples: int = 2) -> list[slice]:
@@ -328,6 +401,8 @@ class Record:
 
         **Raises:** `ValueError` where there are fewer than two whole periods.
         """
+        if self.has_own_times:
+            raise ValueError("rows at times of their own have no period in samples; average record.on_grid.")
         if period_samples is None:
             period_samples = self.detect_period()
             if period_samples is None:

@@ -54,27 +54,49 @@ def test_rows_missing_from_the_clock_become_missing_outputs(text, tmp_path_facto
     np.testing.assert_array_equal(record.u[:, 0], u[held])
 
 
-@pytest.mark.parametrize("jitter, outcome", [(0.002, None), (0.05, RecordWarning), (0.3, RecordWarning)])
-def test_jitter_is_judged_by_its_size(text, write, jitter, outcome):
+@pytest.mark.parametrize(
+    "jitter, noise, said, kept",
+    [
+        (0.002, 10.0, [], False),
+        (
+            0.05,
+            100.0,
+            ["up to 5 % of a sampling time off a uniform grid of 1 s, which is used"],
+            False,
+        ),
+        (0.05, 0.01, ["the rows have times of their own, up to 0.0"], True),
+        (0.3, 0.01, ["the rows have times of their own, up to 0.3"], True),
+    ],
+)
+def test_jitter_is_judged_by_what_it_does_to_the_outputs(text, write, jitter, noise, said, kept):
     t = np.arange(100.0)
+    y = 10.0 * np.sin(0.1 * t) + noise * np.random.default_rng(0).standard_normal(100)
     t[37] += jitter
-    path = write(text("t,u,y", t, t, t))
+    path = write(text("t,u,y", t, t, y))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        assert read_record(path, inputs="u", outputs="y").sampling_time == pytest.approx(1.0)
-    assert [warning.category for warning in caught] == ([] if outcome is None else [outcome])
+        record = read_record(path, inputs="u", outputs="y")
+    assert record.sampling_time == pytest.approx(1.0, rel=1e-3) and record.has_own_times == kept
+    assert [found for found in said if found in str(caught[0].message)] == said and len(caught) == len(said)
 
 
 @pytest.mark.parametrize(
     "t",
-    [
-        np.cumsum(np.random.default_rng(0).uniform(0.2, 1.8, 200)),
-        np.arange(100.0) ** 1.2,
-        np.concatenate([np.arange(10.0), [1e6]]),
-    ],
+    [np.cumsum(np.random.default_rng(0).uniform(0.2, 1.8, 200)), np.arange(100.0) ** 1.2],
+    ids=["random", "slowing"],
 )
-def test_time_that_is_not_uniform_is_an_error(text, write, t):
+def test_rows_that_follow_no_clock_keep_their_times(text, write, t):
+    path = write(text("t,u,y", t, t, t))
+    with pytest.warns(RecordWarning, match="record.csv: the rows have times of their own"):
+        record = read_record(path, inputs="u", outputs="y")
+    np.testing.assert_array_equal(record.stamps.time, t)
     with pytest.raises(ValueError, match="time column 't' of record.csv: time is not uniform"):
+        read_record(path, inputs="u", outputs="y", own_times=False)
+
+
+def test_a_gap_out_of_all_proportion_is_an_error(text, write):
+    t = np.concatenate([np.arange(10.0), [1e6]])
+    with pytest.raises(ValueError, match="time column 't' of record.csv: the rows leave gaps too long"):
         read_record(write(text("t,u,y", t, t, t)), inputs="u", outputs="y")
 
 
@@ -126,6 +148,6 @@ def test_measured_records(name):
     assert record.samples == samples and record.sampling_time == pytest.approx(sampling_time, rel=1e-3)
     assert (record.input_units, record.output_units) == (input_units, output_units)
     assert not record.has_missing
-    assert len(caught) == (1 if name == "pendulum_pd.csv" else 0)
+    assert len(caught) == (1 if name.startswith("pendulum") else 0)
     if name.startswith("motor"):
         assert record.detect_period() == 2500

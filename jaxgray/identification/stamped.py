@@ -1,0 +1,113 @@
+"""Records of rows at times of their own: identified on the uniform records that stand for them, made anew until they
+rest."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..mechanics.at_stamps import about
+from ..numerics.progress import AbstractProgress
+from ..numerics.text import listed
+from ..records import Record, preflight
+from .result import Identification
+
+MOST_TURNS = 10
+"""Times that the uniform records are made anew, at most."""
+
+RESTS = 0.01
+"""Change of the uniform records, in standard deviations of the noise, that is left."""
+
+SAID = 0.1
+"""The same from which it is said."""
+
+ROUNDING = 1e-12
+"""The same, relative to the motion."""
+
+LEAST = 1e-300
+"""Noise of an output that has none."""
+
+
+LOGGED = (
+    "The times of the rows are not those at which they were sampled: uniform times explain the outputs better, and "
+    "were taken. The logger may stamp rows when it writes them."
+)
+"""What is said where the grid explains a record better than the times of its rows."""
+
+
+def identify_stamped(
+    fit: Callable[[list[Record], list[Record]], Identification],
+    records: list[Record],
+    held_out: list[Record],
+    progress: AbstractProgress,
+) -> Identification:
+    """Identify from records some of which have rows at times of their own.
+
+    A fit of the uniform records that stand for them about a model has no other residual there than the rows leave; it
+    moves the model, and the records with it, until both rest. Every number then is of the rows at their own times; the
+    slopes by which they are weighed are those at the places on the grid. Where the samples are explained better on the
+    grid than at the times of their rows, these are the logger's, and the grid is kept.
+
+    **Arguments:** `fit`: from uniform records, and those held out, to an `Identification`; `records`, `held_out`;
+    `progress`.
+
+    **Returns:** an `Identification`; its records are the uniform ones.
+
+    **Raises:** as `fit`.
+    """
+    now, unseen = ([r.on_grid for r in group] for group in (records, held_out))
+    messages = [finding.message for r in now for finding in preflight(r)]
+    found, moved, rests = fit(now, unseen), np.inf, False
+    uniform = found
+    for turn in range(MOST_TURNS):
+        progress.stage(f"simulating at the rows' own times ({turn + 1})")
+        new, unseen = ([at_own_times(found.model, r) for r in group] for group in (records, held_out))
+        before, moved = moved, change(now, new)
+        if np.all(moved < np.maximum(RESTS * found.noise_floor, ROUNDING * size(new))):
+            rests = True
+            break
+        now = new
+        found = fit(now, unseen)
+        if turn > 1 and np.all(moved > before / 2):
+            break
+    moved = 0.0 if rests else float(np.max(moved / np.maximum(found.noise_floor, LEAST)))
+    if _left(uniform) < _left(found):
+        return replace(uniform, warnings=(LOGGED, *uniform.warnings))
+    notes = [note(r, moved) for r in records if r.has_own_times]
+    return replace(found, warnings=tuple(dict.fromkeys([*notes, *messages, *found.warnings])))
+
+
+def _left(found: Identification) -> float:
+    """Sum over the outputs of the logarithms of what a fit leaves of them."""
+    return float(sum(np.log(np.maximum(fit.rmse, LEAST)).sum() * len(fit.simulated) for fit in found.estimation))
+
+
+def keeps_times(found: Identification, records: list[Record]) -> bool:
+    """Whether records were identified at the times of their rows, and not on their grid."""
+    return not np.array_equal(found.records[0].y, records[0].on_grid.y, equal_nan=True)
+
+
+def at_own_times(model, record: Record) -> Record:
+    """The uniform record that stands for a record about a model; a uniform record stands for itself."""
+    return about(model, record) if record.has_own_times else record
+
+
+def change(old: list[Record], new: list[Record]) -> np.ndarray:
+    """Largest root mean square change of every output of some records."""
+    return np.max([np.sqrt(np.nanmean((one.y - other.y) ** 2, axis=0)) for one, other in zip(old, new)], axis=0)
+
+
+def size(records: list[Record]) -> np.ndarray:
+    """Largest standard deviation of every output of some records."""
+    return np.max([np.nanstd(record.y, axis=0) for record in records], axis=0)
+
+
+def note(record: Record, moved: float) -> str:
+    """What is said of a record of rows at times of their own."""
+    unsampled = [name for name, share in zip(record.output_names, record.missing.mean(axis=0)) if share > 0.1]
+    rates = f" ({listed(unsampled)} sampled more rarely than the grid)" if unsampled else ""
+    rest = "" if moved < SAID else f"; at the end they moved by {moved:.2g} of the noise still"
+    return (
+        f"The rows have times of their own, up to {record.stamps.jitter:.2g} samples off a uniform grid of "
+        f"{record.sampling_time:.6g} s{rates}: simulated and fitted at these times{rest}."
+    )

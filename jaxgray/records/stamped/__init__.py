@@ -1,0 +1,8 @@
+"""Samples at times of their own: what was sampled when, and the uniform grid that stands beside it."""
+
+from .grid import Grid as Grid
+from .grid import grid_of as grid_of
+from .rows import error_if_uniform as error_if_uniform
+from .rows import held as held
+from .rows import joined as joined
+from .stamps import Stamps as Stamps
