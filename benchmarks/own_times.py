@@ -139,6 +139,42 @@ def row_exact(seeds):
     return result
 
 
+def two_clocks(seed, samples=6000, late=0.3 * H, rate=50e-6):
+    """A record whose outputs have a clock of their own: times, inputs, outputs, clocks; and when it begins."""
+    rng = np.random.default_rng([seed, 42])
+    events = np.arange(0, samples * H, H)
+    u = data.random_steps(rng, samples, 2, H)
+    seen = np.arange(0.2 * H, samples * H - 1, H)
+    every = np.unique(np.concatenate([events, seen]))
+    y = run(TRUTH, every, u[np.searchsorted(events, every, side="right") - 1], np.zeros(4))
+    y = y[np.searchsorted(every, seen)] + NOISE * rng.standard_normal((len(seen), 2))
+    time = np.concatenate([events, (seen - late) / (1 + rate)])
+    order = np.argsort(time, kind="stable")
+    time, clock = time[order], np.repeat([0, 1], [len(events), len(seen)])[order]
+    held = u[np.maximum(np.searchsorted(events, time, side="right") - 1, 0)]
+    outputs = np.concatenate([np.full((len(events), 2), np.nan), y])[order]
+    return Record.from_stamps(time, held, outputs, clock=clock), late, rate
+
+
+def row_clocks(seeds):
+    """Two clocks, 0.3 samples and 50 ppm apart: deviations in standard errors."""
+    rows = []
+    for seed in seeds:
+        record, late, rate = two_clocks(seed)
+        (found,) = jaxgray.identify(record).clocks
+        off = (found.offset - late - rate * record.start_time) / found.offset_error
+        rows.append({"seed": seed, "offset": off, "rate": (found.rate - rate) / found.rate_error})
+    z = np.array([[r["offset"], r["rate"]] for r in rows])
+    inside = int(np.sum(np.all(np.abs(z) < 3, axis=1)))
+    root = np.sqrt(np.mean(z**2, axis=0))
+    print(
+        f"two clocks: both within 3 standard errors in {inside} of {len(z)}; root mean square {root[0]:.2f} and "
+        f"{root[1]:.2f}, largest {np.abs(z).max():.1f}",
+        flush=True,
+    )
+    return rows
+
+
 def jittered(case, rng, jitter=0.3):
     """Times, inputs held from each on, and clean outputs of a case at rows that wander."""
     samples, h = len(case.u), hidden.SAMPLING_TIME
@@ -265,6 +301,7 @@ ROWS = {
     "poisson": lambda seeds: row_accuracy("poisson", seeds),
     "rates": lambda seeds: row_accuracy("rates", seeds),
     "exact": row_exact,
+    "clocks": row_clocks,
     "laws": row_laws,
     "nothing": row_nothing,
     "cart": row_cart,

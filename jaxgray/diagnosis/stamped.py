@@ -13,6 +13,7 @@ from ..numerics.outcomes import ComputationError
 from ..numerics.progress import AbstractProgress
 from ..records import Record, on_one_grid
 from ..records.cleaning import without_defects
+from ..records.stamped import mended
 from .data_checks.record_findings import record_findings
 from .data_checks.residual_outliers import merged
 from .result import Diagnosis
@@ -45,11 +46,17 @@ def diagnose_stamped(
     # What is spoilt shows in the samples as they are.
     records, held = ([without_defects(r) for r in group] for group in (records, held))
     now, unseen = ([r.on_grid for r in group] for group in (records, held))
+    clocks: list[str] = []
     try:
         found = None if model is not None else identify(records, progress=progress, **options)
         if found is not None and not keeps_times(found, records):
             return dataclasses.replace(judge(now, unseen), warnings=found.warnings)
         begin = model if found is None else found.model
+        for one in () if found is None else found.clocks:
+            record = records[one.record]
+            stamps = mended(record.stamps, record.start_time, one.clock, one.offset, one.rate)
+            records[one.record] = dataclasses.replace(record, stamps=stamps)
+            clocks.append(one.sentence(record.sampling_time))
         now, unseen = ([at_own_times(begin, r) for r in group] for group in (records, held))
     except ComputationError:
         pass
@@ -65,5 +72,5 @@ def diagnose_stamped(
         if moved <= CLOSE:
             break
         now, unseen = new, later
-    said = dict.fromkeys(note(r, 0.0) for r in records if r.has_own_times)
+    said = dict.fromkeys([*(note(r, 0.0) for r in records if r.has_own_times), *clocks])
     return dataclasses.replace(found, findings=merged(seen + found.findings), warnings=(*said, *found.warnings))

@@ -12,6 +12,7 @@ from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS
 from ..numerics.text import entry_text
 from ..records import Record
+from ..records.stamped import ClockError
 from .hidden.evidence import HiddenEvidence
 from .initialization.start import Start, model_run
 from .refinement.normal_equations import Criterion, Iterate, sensitivities, without_noise
@@ -41,7 +42,8 @@ class Identification(Shown):
     deviation of the unpredictable part per output; `residual_test`; `structure_test`; `aic`, `bic`; `noise`:
     noise model in words and figures; `warnings`: in words; `scaling`, `setting`, `structure`: what the computation
     used; `fixed`: entries of the joined blocks that did not move (by `fix`, or the scale under base excitation);
-    `hidden`: what is known of coordinates that no output measures, None where every one is measured.
+    `hidden`: what is known of coordinates that no output measures, None where every one is measured; `clocks` that run
+    beside that of the inputs, as they were found.
     """
 
     model: MechanicalModel
@@ -64,6 +66,7 @@ class Identification(Shown):
     structure: Structure = field(repr=False)
     fixed: Bool[np.ndarray, " entries"] = field(repr=False)
     hidden: HiddenEvidence | None = None
+    clocks: tuple[ClockError, ...] = ()
 
     @property
     def mass(self) -> Float[np.ndarray, "dofs dofs"]:

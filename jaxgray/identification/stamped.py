@@ -10,6 +10,8 @@ from ..mechanics.at_stamps import about
 from ..numerics.progress import AbstractProgress
 from ..numerics.text import listed
 from ..records import Record, preflight
+from ..records.stamped import ClockError
+from .clocks import with_clocks
 from .result import Identification
 
 MOST_TURNS = 10
@@ -17,6 +19,9 @@ MOST_TURNS = 10
 
 RESTS = 0.01
 """Change of the uniform records, in standard deviations of the noise, that is left."""
+
+STANDS = 0.01
+"""Step of a clock, in standard errors, that is left."""
 
 SAID = 0.1
 """The same from which it is said."""
@@ -59,22 +64,42 @@ def identify_stamped(
     messages = [finding.message for r in now for finding in preflight(r)]
     found, moved, rests = fit(now, unseen), np.inf, False
     uniform = found
+    mended, clocks, off = records, (), np.zeros(0)
     for turn in range(MOST_TURNS):
         progress.stage(f"simulating at the rows' own times ({turn + 1})")
-        new, unseen = ([at_own_times(found.model, r) for r in group] for group in (records, held_out))
+        if turn:
+            # About the first fit the grid itself is still wrong.
+            found, mended, off = with_clocks(found, mended)
+            clocks = added(clocks, found.clocks)
+        new, unseen = ([at_own_times(found.model, r) for r in group] for group in (mended, held_out))
         before, moved = moved, change(now, new)
-        if np.all(moved < np.maximum(RESTS * found.noise_floor, ROUNDING * size(new))):
+        if np.all(np.abs(off) < STANDS) and np.all(moved < np.maximum(RESTS * found.noise_floor, ROUNDING * size(new))):
             rests = True
             break
         now = new
         found = fit(now, unseen)
-        if turn > 1 and np.all(moved > before / 2):
+        if turn > 1 and np.all(np.abs(off) < STANDS) and np.all(moved > before / 2):
             break
     moved = 0.0 if rests else float(np.max(moved / np.maximum(found.noise_floor, LEAST)))
     if _left(uniform) < _left(found):
         return replace(uniform, warnings=(LOGGED, *uniform.warnings))
+    if clocks:
+        found = replace(with_clocks(found, mended)[0], clocks=clocks)
     notes = [note(r, moved) for r in records if r.has_own_times]
+    notes += [clock.sentence(records[0].sampling_time) for clock in clocks]
     return replace(found, warnings=tuple(dict.fromkeys([*notes, *messages, *found.warnings])))
+
+
+def added(clocks: tuple[ClockError, ...], steps: tuple[ClockError, ...]) -> tuple[ClockError, ...]:
+    """What steps of clocks come to, one after another."""
+    if not clocks:
+        return steps
+    return tuple(
+        replace(
+            new, offset=old.offset + new.offset + new.rate * old.offset, rate=old.rate + new.rate + old.rate * new.rate
+        )
+        for old, new in zip(clocks, steps)
+    )
 
 
 def _left(found: Identification) -> float:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxgray.records.record import Record
+from jaxgray.records.stamped import grid_of
 
 # Clocks of one logger differ by some parts per million between files.
 SAMPLING_TIME_TOLERANCE = 1e-4
@@ -104,8 +105,6 @@ def _with_step(record: Record, step: float) -> Record:
         return record
     rows = record.stamps
     y = np.where(rows.place >= 0, rows.y, np.nan)
-    # Inputs before the first of its rows hold on.
-    after = max(int(np.argmax((rows.place >= 0).any(axis=1))) - 1, 0)
-    on_grid = Record.from_stamps(rows.time[after:], rows.u[after:], y[after:], hold=rows.hold, sampling_time=step)
-    names = ("input_names", "output_names", "input_units", "output_units", "measured")
-    return replace(on_grid, **{name: getattr(record, name) for name in names})
+    kept = (rows.place >= 0).any(axis=1)
+    at = grid_of(rows.time[kept], rows.input_time, rows.u, y[kept], rows.hold, step, rows.clock[kept])
+    return replace(record, u=at.u, y=at.y, sampling_time=at.step, start_time=at.start, stamps=at.stamps)

@@ -91,11 +91,12 @@ def read_record(
     **Raises:** `ValueError` where file or arguments do not fit, `ImportError` naming the extra to install.
     """
     inputs, outputs = _name_list("inputs", inputs), _name_list("outputs", outputs)
-    table = _open(path, delimiter, decimal)
+    table, clock = _open(path, delimiter, decimal), None
     if also:
         if sampling_time is not None or scheduling is not None or own_times is False:
             raise ValueError("also joins rows at times of their own; leave out sampling_time, scheduling, own_times.")
-        table, time, own_times = joined(table, time, (also,) if isinstance(also, str) else also, _open), "t", True
+        table, clock = joined(table, time, (also,) if isinstance(also, str) else also, inputs[0], _open)
+        time, own_times = "t", True
     positions = {
         "inputs": [table.find("inputs", name) for name in inputs],
         "outputs": [table.find("outputs", name) for name in outputs],
@@ -128,13 +129,13 @@ def read_record(
         if own_times is not False and scheduling is None and sampling_time is None:
             off = error_if_uniform(times, y)
         if own_times or off > NEGLIGIBLE:
-            return _at_own_times(table, clock_column, times, u, y, more)
-        clock = _read_clock(table, clock_column, sampling_time, times, off)
-        if clock.samples > len(u):
-            u, y, p = _fill(clock, u, y, p)
+            return _at_own_times(table, clock_column, times, u, y, clock, more)
+        grid = _read_clock(table, clock_column, sampling_time, times, off)
+        if grid.samples > len(u):
+            u, y, p = _fill(grid, u, y, p)
         if sampling_time is None:
-            sampling_time = clock.sampling_time
-        start_time = clock.start_time
+            sampling_time = grid.sampling_time
+        start_time = grid.start_time
 
     return Record(
         u,
@@ -218,14 +219,15 @@ def _no_column_twice(table: Table, positions: dict[str, list[int]]) -> None:
             seen[k] = argument
 
 
-def _at_own_times(table: Table, clock: int, times: np.ndarray, u: np.ndarray, y: np.ndarray, more: dict) -> Record:
+def _at_own_times(table: Table, position: int, times: np.ndarray, u: np.ndarray, y: np.ndarray, clock, more) -> Record:
     """A record of rows at the times of their column."""
+    clock = np.zeros(len(times), int) if clock is None else clock
     try:
         u = held(times, u, more["hold"])
         known = np.isfinite(u).all(axis=1)
-        record = Record.from_stamps(times[known], u[known], y[known], **more)
+        record = Record.from_stamps(times[known], u[known], y[known], clock=clock[known], **more)
     except ValueError as error:
-        raise ValueError(f"time column {table.names[clock]!r} of {table.source}: {error}") from None
+        raise ValueError(f"time column {table.names[position]!r} of {table.source}: {error}") from None
     warnings.warn(
         f"{table.source}: the rows have times of their own, up to {record.stamps.jitter:.2g} samples off a uniform "
         f"grid of {record.sampling_time:.6g} s, and keep them.",

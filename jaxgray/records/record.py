@@ -139,7 +139,7 @@ class Record:
         store("stamps", stamps)
 
     @classmethod
-    def from_stamps(cls, time, u, y, *, hold="zero", sampling_time=None, **more) -> "Record":
+    def from_stamps(cls, time, u, y, *, hold="zero", sampling_time=None, clock=None, **more) -> "Record":
         """A record of rows at times of their own: jittered, irregular, or with channels at several rates.
 
         Channels of other rates share one table: a row for every time at which anything was sampled, inputs with the
@@ -152,6 +152,8 @@ class Record:
         - `y`: outputs `(rows, outputs)`, NaN where a row has no sample.
         - `hold`: the input from a row to the next, `"zero"` (constant, default) or `"linear"`.
         - `sampling_time`: step of the grid in s; default by the rows, about their mean step.
+        - `clock`: number of the clock that gave each row its time, 0 for that of the inputs; default all 0. Others
+            may run fast or slow and be set otherwise: `identify` estimates by how much.
         - `more`: names, units and measured quantities, as for `Record`.
 
         **Returns:** a `Record` on a uniform grid, its rows in `stamps`.
@@ -166,7 +168,10 @@ class Record:
             if not np.isfinite(values).all():
                 row = np.argwhere(~np.isfinite(values))[0][0]
                 raise ValueError(f"{name} is not finite at row {row}; only outputs may be missing.")
-        back = np.flatnonzero(np.diff(time) <= 0)
+        clock = np.zeros(len(time), int) if clock is None else np.asarray(clock)
+        if clock.shape != time.shape or clock.dtype.kind not in "iu" or not np.any(clock == 0):
+            raise ValueError("clock must be a whole number for every row, 0 for those of the inputs' clock.")
+        back = np.flatnonzero((np.diff(time) < 0) | ((np.diff(time) == 0) & (np.diff(clock) == 0)))
         if back.size:
             k = back[0]
             raise ValueError(
@@ -178,7 +183,8 @@ class Record:
         if "scheduling" in more:
             raise ValueError("scheduling is a channel of uniform records; leave it out.")
         step = None if sampling_time is None else as_seconds("sampling_time", sampling_time)
-        grid = grid_of(time, u, y, hold, step)
+        own = clock == 0
+        grid = grid_of(time, time[own], u[own], y, hold, step, clock)
         return cls(grid.u, grid.y, grid.step, hold=grid.hold, start_time=grid.start, stamps=grid.stamps, **more)
 
     @property

@@ -35,7 +35,10 @@ def spoilt(rows, row, column, value):
         (lambda rows: spoilt(rows, 20, 3, "1e300"), ("1e+300", "rescale")),
         (lambda rows: spoilt(rows, 20, 1, ""), ("u1", "missing")),
         (lambda rows: spoilt(rows, 20, 0, rows[19][0]), ("does not increase",)),
-        (lambda rows: [[repr(0.005 * (k + 1e6 * (k > 20))), *row[1:]] for k, row in enumerate(rows)], ("gaps too long",)),
+        (
+            lambda rows: [[repr(0.005 * (k + 1e6 * (k > 20))), *row[1:]] for k, row in enumerate(rows)],
+            ("gaps too long",),
+        ),
         (lambda rows: rows[:1], ("at least 2",)),
         (lambda rows: rows[:0], ("small.csv",)),
     ],

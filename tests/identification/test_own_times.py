@@ -28,9 +28,11 @@ def at_times(time, u):
 
 
 def drawn(rng, kind, samples=2000, step=0.02):
-    time = np.cumsum(rng.exponential(step, samples))
-    if kind == "jittered":
+    # Half as many where the grid is twice as fine: one length for all.
+    time = np.cumsum(rng.exponential(step, samples // 2))
+    if kind != "random":
         time = step * (np.arange(samples) + rng.uniform(-0.3, 0.3, samples))
+    samples = len(time)
     u = data.random_steps(rng, samples, 2, step)
     return time, u, at_times(time, u)
 
@@ -51,7 +53,7 @@ def test_without_noise_the_truth_is_found(kind):
 
 def test_with_noise_the_errors_are_those_of_the_interval():
     rng = generator("noise")
-    time, u, y = drawn(rng, "jittered", 6000)
+    time, u, y = drawn(rng, "jittered")
     record = Record.from_stamps(time, u, y + 1e-4 * rng.standard_normal(y.shape))
     found, before = jaxgray.identify(record), jaxgray.identify(record.on_grid)
     upper = np.triu_indices(2)
@@ -63,9 +65,9 @@ def test_with_noise_the_errors_are_those_of_the_interval():
 
 def test_times_of_the_logger_are_told_from_those_of_the_samples():
     rng = generator("logger")
-    u = data.random_steps(rng, 3000, 2, 0.02)
-    y = data.simulate(*TRUTH, u, 0.02) + 1e-3 * rng.standard_normal((3000, 2))
-    time = 0.02 * (np.arange(3000) + rng.uniform(-0.3, 0.3, 3000))
+    u = data.random_steps(rng, 2000, 2, 0.02)
+    y = data.simulate(*TRUTH, u, 0.02) + 3e-4 * rng.standard_normal((2000, 2))
+    time = 0.02 * (np.arange(2000) + rng.uniform(-0.3, 0.3, 2000))
     found = jaxgray.identify(Record.from_stamps(time, u, y))
     assert "are not those at which they were sampled" in found.warnings[0] and errors(found) < 0.02
 
@@ -73,14 +75,34 @@ def test_times_of_the_logger_are_told_from_those_of_the_samples():
 def test_held_out_rows_and_several_records():
     rng = generator("several")
     records = []
-    for kind in ("jittered", "random"):
-        time, u, y = drawn(rng, kind)
+    for _ in range(2):
+        time, u, y = drawn(rng, "jittered")
         records.append(Record.from_stamps(time, u, y + 1e-4 * rng.standard_normal(y.shape)))
-    time, u, _ = drawn(rng, "random")
-    y = at_times(time, u) + 1e-4 * rng.standard_normal((2000, 2))
+    time, u, y = drawn(rng, "jittered")
+    y = y + 1e-4 * rng.standard_normal(y.shape)
     found = jaxgray.identify(records, validation=Record.from_stamps(time, u, y))
     assert errors(found) < 2e-3
     np.testing.assert_allclose([fit.rmse for fit in found.validation], 1e-4, rtol=0.15)
+
+
+def test_a_clock_beside_that_of_the_inputs_is_mended():
+    rng, h, late, rate = generator("clocks"), 0.02, 0.006, 2e-4
+    events = np.arange(0, 40, h)
+    u = data.random_steps(rng, len(events), 2, h)
+    seen = np.arange(0.2 * h, 39, h)
+    every = np.unique(np.concatenate([events, seen]))
+    y = at_times(every, u[np.searchsorted(events, every, side="right") - 1])[np.searchsorted(every, seen)]
+    time = np.concatenate([events, (seen - late) / (1 + rate)])
+    order = np.argsort(time, kind="stable")
+    held = u[np.maximum(np.searchsorted(events, time[order], side="right") - 1, 0)]
+    outputs = np.concatenate([np.full((len(events), 2), np.nan), y + 1e-4 * rng.standard_normal(y.shape)])
+    clock = np.repeat([0, 1], [len(events), len(seen)])
+    record = Record.from_stamps(time[order], held, outputs[order], clock=clock[order])
+    found = jaxgray.identify(record)
+    (one,) = found.clocks
+    assert one.outputs == ("y1", "y2") and abs(one.rate - rate) < 4 * one.rate_error < 0.2 * rate
+    assert abs(one.offset - late - rate * record.start_time) < 4 * one.offset_error < 0.2 * late
+    assert errors(found) < 0.02 and any("The clock of y1, y2 is set +0." in text for text in found.warnings)
 
 
 def test_steps_of_any_length():

@@ -1,5 +1,7 @@
 """Samples at times of their own: what was sampled when, and the uniform grid that stands beside it."""
 
+from .clocks import ClockError as ClockError
+from .clocks import mended as mended
 from .grid import Grid as Grid
 from .grid import grid_of as grid_of
 from .rows import error_if_uniform as error_if_uniform

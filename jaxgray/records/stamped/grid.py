@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import isotonic_regression
 
 from .stamps import NOT_SAMPLED, Stamps
@@ -38,10 +38,12 @@ class Grid:
 
 def grid_of(
     time: Float[np.ndarray, " rows"],
-    u: Float[np.ndarray, "rows inputs"],
+    input_time: Float[np.ndarray, " events"],
+    u: Float[np.ndarray, "events inputs"],
     y: Float[np.ndarray, "rows outputs"],
     hold: str,
     step: float | None = None,
+    clock: Int[np.ndarray, " rows"] | None = None,
 ) -> Grid:
     """A uniform grid for rows at times of their own.
 
@@ -50,8 +52,9 @@ def grid_of(
     isotonic regression. Held inputs have their means over the steps of the grid, others their values; outputs are as
     they were sampled, NaN in places without a sample.
 
-    **Arguments:** `time` [s], increasing; `u`, finite; `y`, NaN where a row has no sample; `hold`: "zero" or "linear";
-    `step` of the grid [s], default by the rows.
+    **Arguments:** `time` of the rows and `input_time` [s], increasing; `u`, finite; `y`, NaN where a row has no sample;
+    `hold`: "zero" or "linear";
+    `step` of the grid [s], default by the rows; `clock` of every row, 0 for that of the inputs, by default all.
 
     **Raises:** `ValueError` where an output has fewer than four samples, or the rows leave too long a gap.
     """
@@ -80,8 +83,9 @@ def grid_of(
     samples = int(place.max()) + 1
     at = start + step * np.arange(samples)
     jitter = float(np.max(np.abs(wanted[:, None] - place)[place >= 0]))
-    stamps = Stamps(time, u, y, place, hold, jitter)
-    return Grid(start, step, _inputs(at, step, time, u, hold), _outputs(y, place, samples), hold, stamps)
+    clock = np.zeros(len(time), int) if clock is None else clock
+    stamps = Stamps(input_time, u, time, y, place, clock, hold, jitter)
+    return Grid(start, step, _inputs(at, step, input_time, u, hold), _outputs(y, place, samples), hold, stamps)
 
 
 def _clock(time: np.ndarray) -> tuple[float, float]:

@@ -3,14 +3,11 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..clock import read_clock, seconds_per
 from ..memory import TIME_NAMES
 from ..table import Table
-
-SAME = 1e-12
-"""Difference of two times, relative to the length of the record, that is rounding."""
 
 RESOLUTION = 0.51
 """Distance of times from a uniform clock, in units of their last digit, that rounding makes."""
@@ -79,12 +76,15 @@ def held(
     return found
 
 
-def joined(table: Table, time: str | None, also: Sequence[str], opened: Callable[[str, None, None], Table]) -> Table:
-    """One table of several files with time columns of their own: a row for every time, cells empty where a file has
-    none; its time column is "t", in s.
+def joined(
+    table: Table, time: str | None, also: Sequence[str], first_input: str, opened: Callable[[str, None, None], Table]
+) -> tuple[Table, Int[np.ndarray, " rows"]]:
+    """One table of the rows of several files with time columns of their own, in the order of their times; cells are
+    empty where a file has none; its time column is "t", in s. And the clock of every row: 0 for that of the file with
+    the first input, or the number of another file.
 
     **Arguments:** `table`: of the first file; `time`: its time column, default t or time; `also`: "FILE:column,…";
-    `opened`: reads a file.
+    `first_input`: name of a column; `opened`: reads a file.
 
     **Raises:** `ValueError` where something is not found, or a name is in two files.
     """
@@ -96,32 +96,29 @@ def joined(table: Table, time: str | None, also: Sequence[str], opened: Callable
             raise ValueError(f"also is {one!r}; give a file and its columns, such as camera.csv:x,y.")
         parts.append((opened(path, None, None), None, wanted))
     columns, units, every = {}, {}, []
-    for part, name, wanted in parts:
+    for number, (part, name, wanted) in enumerate(parts):
         clock = _time_column(part, name)
-        when = _increasing(part, clock)
-        every.append(when)
+        every.append(_increasing(part, clock))
         for name in [n for k, n in enumerate(part.names) if k != clock] if wanted is None else wanted:
             if name in columns:
                 raise ValueError(f"also: a column {name!r} is in two files; rename one.")
             k = part.find("also", name)
-            columns[name], units[name] = (when, part, k), part.unit(k)
-    times = _union(every)
+            columns[name], units[name] = (number, k), part.unit(k)
+    times = np.concatenate(every)
+    owner = np.repeat(np.arange(len(parts)), [len(one) for one in every])
+    order = np.argsort(times, kind="stable")
 
     def column(position: int) -> np.ndarray:
         if position == 0:
-            return times
-        when, part, k = list(columns.values())[position - 1]
+            return times[order]
+        number, k = list(columns.values())[position - 1]
         values = np.full(len(times), np.nan)
-        values[np.searchsorted(times, when - SAME * (times[-1] - times[0]))] = part.numbers(k)
-        return values
+        values[owner == number] = parts[number][0].numbers(k)
+        return values[order]
 
-    return Table(table.source, ("t", *columns), column, units=units)
-
-
-def _union(every: list[np.ndarray]) -> np.ndarray:
-    """Times of several files in order, one where they differ by rounding alone."""
-    times = np.sort(np.concatenate(every))
-    return times[np.concatenate([[True], np.diff(times) > SAME * (times[-1] - times[0])])]
+    reference = columns[first_input][0] if first_input in columns else 0
+    numbers = np.where(owner == reference, 0, np.where(owner < reference, owner + 1, owner))[order]
+    return Table(table.source, ("t", *columns), column, units=units), numbers
 
 
 def _increasing(table: Table, position: int) -> np.ndarray:

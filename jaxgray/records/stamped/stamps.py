@@ -9,24 +9,27 @@ from jaxtyping import Bool, Float, Int
 NOT_SAMPLED = -1
 """Place on the grid of what a row does not hold."""
 
-BEGIN, START = -2, -1
-"""What stands for a row at the beginning of a run, and at the start of the grid."""
+BEGIN, START, CHANGE = -3, -2, -1
+"""What stands for a row at the beginning of a run, at the start of the grid, and where inputs alone change."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stamps:
     """What a record was made of: rows at times of their own, and where their outputs lie on its uniform grid.
 
-    `time` of every row [s], increasing; `u`: inputs from there on, held ("zero") or on straight lines to the next row
-    ("linear"), as `hold` says; `y`: outputs, NaN where a row has none; `place` of every output on the grid of the
-    record, `NOT_SAMPLED` where there is none; `jitter`: largest distance from the grid in its steps; `counted`: whether
-    the rows count, and not the channels on the grid.
+    `input_time` [s], increasing; `u`: inputs from there on, held ("zero") or on straight lines to the next ("linear"),
+    as `hold` says; `time` of every row [s]; `y`: outputs, NaN where a row has none; `place` of every output on the grid
+    of the record, `NOT_SAMPLED` where there is none; `clock` of every row: 0 for that of the inputs, or another one's
+    number; `jitter`: largest distance from the grid in its steps; `counted`: whether the rows count, and not the
+    channels on the grid.
     """
 
+    input_time: Float[np.ndarray, " events"]
+    u: Float[np.ndarray, "events inputs"]
     time: Float[np.ndarray, " rows"]
-    u: Float[np.ndarray, "rows inputs"]
     y: Float[np.ndarray, "rows outputs"]
     place: Int[np.ndarray, "rows outputs"]
+    clock: Int[np.ndarray, " rows"]
     hold: str
     jitter: float
     counted: bool = True
@@ -51,31 +54,33 @@ class Stamps:
         """With constants taken off the channels."""
         return dataclasses.replace(self, u=self.u - u, y=self.y - y)
 
+    @property
+    def other_clocks(self) -> list[int]:
+        """Numbers of clocks of rows that count, but for that of the inputs."""
+        return [int(k) for k in np.unique(self.clock[(self.place >= 0).any(axis=1)]) if k]
+
     def since(self, start: float) -> "Events":
         """What happens from a start on, or from the first row on that lies on the grid, where that is earlier."""
-        placed = (self.place >= 0).any(axis=1)
-        first = int(np.argmax(placed))
-        begin = min(start, float(self.time[first]))
-        after = int(np.searchsorted(self.time, begin, side="left"))
-        rows = np.arange(after, len(self.time))
-        time = np.concatenate([[begin, start], self.time[rows]])
-        u = np.concatenate([self._input(begin)[None], self._input(start)[None], self.u[rows]])
-        # The start itself comes before a row at the same time.
+        rows = np.flatnonzero((self.place >= 0).any(axis=1))
+        begin = min(start, float(self.time[rows].min()))
+        changes = self.input_time[self.input_time > begin]
+        time = np.concatenate([[begin], changes, [start], self.time[rows]])
+        row = np.concatenate([[BEGIN], np.full(len(changes), CHANGE), [START], rows])
+        # Inputs change before a row at the same time.
         order = np.argsort(time, kind="stable")
-        row = np.concatenate([[BEGIN, START], rows])[order]
-        return Events(time[order] - begin, u[order], row)
+        return Events(time[order] - begin, self._inputs(time[order]), row[order])
 
-    def _input(self, time: float) -> Float[np.ndarray, " inputs"]:
-        """Inputs at a time."""
+    def _inputs(self, time: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times inputs"]:
+        """Inputs at times."""
         if self.hold == "linear":
-            return np.array([np.interp(time, self.time, column) for column in self.u.T])
-        return self.u[max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)]
+            return np.stack([np.interp(time, self.input_time, column) for column in self.u.T], axis=1)
+        return self.u[np.maximum(np.searchsorted(self.input_time, time, side="right") - 1, 0)]
 
 
 @dataclass(frozen=True)
 class Events:
     """Inputs from a beginning on: `time` since then [s]; `u` from there on; `row` of the stamps, `START` for that of
-    the grid and `BEGIN` for the beginning."""
+    the grid, `BEGIN` for the beginning and `CHANGE` for inputs alone."""
 
     time: Float[np.ndarray, " events"]
     u: Float[np.ndarray, "events inputs"]
