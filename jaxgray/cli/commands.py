@@ -141,6 +141,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
 
         prepare(verbose=talk.verbose)
         from ..identification.validation.residuals import fit_of
+        from ..mechanics.at_stamps import at_own_times
         from ..mechanics.fitted_run import fitted_run
         from ..report import export, summary
         from ..report.columns import columns_text, simulation_columns
@@ -160,6 +161,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
                 f"{record.inputs} and {record.outputs}; name as many."
             )
         progress.stage("simulating")
+        record = at_own_times(model, record)
         run = fitted_run(model, record).simulated
         fit = fit_of(record.y, run)
         document = summary.simulation_document(record, fit, tuple(notes))

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..identification import identify
-from ..identification.stamped import at_own_times, change, keeps_times, note
+from ..identification.stamped import change, keeps_times, note
+from ..mechanics.at_stamps import at_own_times
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import ComputationError
 from ..numerics.progress import AbstractProgress

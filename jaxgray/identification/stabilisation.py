@@ -11,7 +11,7 @@ from jaxtyping import Bool, Complex, Float
 from ..numerics.linear_algebra import least_squares
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.runtime import ready
-from ..records import Record
+from ..records import Record, check_uniform
 from .initialization.start import filled
 from .setup.options import pick
 from .setup.preparation import prepare, scaling_of
@@ -82,6 +82,7 @@ def stabilisation(
     **Reference:** Peeters & De Roeck, Mechanical Systems and Signal Processing 13 (1999) 855-878.
     """
     ready()
+    check_uniform([record])
     weight = pick("weight", weight, WEIGHTS)
     taus = default_time_constants(record)
     tau = float(taus[len(taus) // 2]) if time_constant is None else float(time_constant)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..mechanics.at_stamps import about
+from ..mechanics.at_stamps import at_own_times
 from ..numerics.progress import AbstractProgress
 from ..numerics.text import listed
 from ..records import Record, preflight
@@ -110,11 +110,6 @@ def _left(found: Identification) -> float:
 def keeps_times(found: Identification, records: list[Record]) -> bool:
     """Whether records were identified at the times of their rows, and not on their grid."""
     return not np.array_equal(found.records[0].y, records[0].on_grid.y, equal_nan=True)
-
-
-def at_own_times(model, record: Record) -> Record:
-    """The uniform record that stands for a record about a model; a uniform record stands for itself."""
-    return about(model, record) if record.has_own_times else record
 
 
 def change(old: list[Record], new: list[Record]) -> np.ndarray:

@@ -11,7 +11,7 @@ from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready, undisturbed
-from ..records import Record, check_compatible
+from ..records import Record, check_compatible, check_uniform
 from .initialization.physical_grid import physical_grid
 from .initialization.start import filled, model_run
 from .setup.options import drive_of, pick
@@ -145,6 +145,7 @@ def sweep(
     records = [record] if isinstance(record, Record) else list(record)
     held_out = [validation] if isinstance(validation, Record) else list(validation or [])
     check_compatible(records + held_out)
+    check_uniform(records + held_out)
     weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
     drive = drive_of(records[0], excitation, input_map, relative)
     longest = max(records, key=lambda r: r.samples)

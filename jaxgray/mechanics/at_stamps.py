@@ -36,6 +36,11 @@ LEAST = 1e-300
 """Size of an output that does not move."""
 
 
+def at_own_times(model: MechanicalModel, record: Record) -> Record:
+    """The uniform record that stands for a record about a model, see `about`; a uniform record stands for itself."""
+    return about(model, record) if record.has_own_times else record
+
+
 def about(model: MechanicalModel, record: Record) -> Record:
     """The uniform record that leaves of a model what the rows at times of their own leave of it.
 

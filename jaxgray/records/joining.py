@@ -43,6 +43,23 @@ def check_compatible(records: Sequence[Record]) -> None:
                 )
 
 
+def check_uniform(records: Sequence[Record]) -> None:
+    """Check that no record has rows at times of their own.
+
+    **Arguments:**
+
+    - `records`: of one system.
+
+    **Raises:** `ValueError` where one has.
+    """
+    for k, record in enumerate(records):
+        if record.has_own_times:
+            raise ValueError(
+                f"records[{k}] has rows at times of their own, and this takes uniform records: identify or diagnose "
+                "it, or give record.on_grid, which is without regard to the times."
+            )
+
+
 def _demand(holds: bool, k: int, what: str, first: Record, other: Record) -> None:
     if not holds:
         raise ValueError(

@@ -152,8 +152,8 @@ class Record:
         - `y`: outputs `(rows, outputs)`, NaN where a row has no sample.
         - `hold`: the input from a row to the next, `"zero"` (constant, default) or `"linear"`.
         - `sampling_time`: step of the grid in s; default by the rows, about their mean step.
-        - `clock`: number of the clock that gave each row its time, 0 for that of the inputs; default all 0. Others
-            may run fast or slow and be set otherwise: `identify` estimates by how much.
+        - `clock`: number of the clock that gave each row its time, 0 for that of the inputs; default all 0. Any
+            other may run fast or slow and be set otherwise: `identify` estimates by how much.
         - `more`: names, units and measured quantities, as for `Record`.
 
         **Returns:** a `Record` on a uniform grid, its rows in `stamps`.

@@ -11,6 +11,7 @@ import sys
 
 import numpy as np
 import pytest
+import scipy.linalg
 from independent import REFERENCE, REFERENCE_TIME, reference_record, relative_errors
 
 import jaxgray
@@ -317,3 +318,29 @@ def test_sweep_map():
     figure.canvas.draw()
     assert figure.axes[0].get_ylabel() == "time constant [s]"
     assert [text.get_text() for text in figure.axes[0].texts].count("–") == 1
+
+
+def test_rows_of_two_files_at_their_own_times(capsys, tmp_path):
+    rng = np.random.default_rng(5)
+    force = np.arange(0.0, 30.0, 0.01)
+    u = np.repeat(rng.choice([-1.0, 1.0], len(force) // 25), 25)
+    seen = np.sort(rng.uniform(0.0, 29.9, 2500))
+    every = np.union1d(force, seen)
+    held = u[np.searchsorted(force, every, side="right") - 1]
+    # m = 2, d = 1, k = 200: exact from event to event.
+    A, state, y = np.array([[0.0, 1.0], [-100.0, -0.5]]), np.zeros(2), []
+    for k, step in enumerate(np.diff(every, append=every[-1])):
+        y.append(state[0])
+        rest = np.array([held[k] / 200.0, 0.0])
+        state = rest + scipy.linalg.expm(A * step) @ (state - rest)
+    y = np.array(y)[np.searchsorted(every, seen)] + 1e-5 * rng.standard_normal(len(seen))
+    first, second, out = tmp_path / "angle.csv", tmp_path / "force.csv", tmp_path / "out.json"
+    first.write_text("t,q [m]\n" + "\n".join(f"{a!r},{b!r}" for a, b in zip(seen.tolist(), y.tolist())))
+    second.write_text("t,F [N]\n" + "\n".join(f"{a!r},{b!r}" for a, b in zip(force.tolist(), u.tolist())))
+    options = ["--also", f"{second}:F", "--inputs", "F", "--outputs", "q", "--json", str(out)]
+    assert main(["identify", str(first), *options]) == 0
+    document = json.loads(out.read_text())
+    found = [document["model"][name][0][0] for name in ("mass", "damping", "stiffness")]
+    np.testing.assert_allclose(found, (2.0, 1.0, 200.0), rtol=2e-3)
+    assert any("The clock of q is set" in text for text in document["warnings"])
+    assert "times of their own" in capsys.readouterr().out

@@ -23,6 +23,7 @@ from ...diagnosis.screening.features import Motion, features
 from ...diagnosis.screening.scales import scales_at
 from ...identification.refinement.uncertainty import entry_names
 from ...identification.setup.options import drive_of
+from ...mechanics.at_stamps import at_own_times
 from ...mechanics.effects import by_id
 from ...mechanics.extended import Plant
 from ...mechanics.fitted_run import fitted_run
@@ -65,6 +66,7 @@ def score(record: Record, own: dict, *, effects=WEAR, input_map=None) -> dict:
         input_units=record.input_units,
         output_units=record.output_units,
     )
+    record = at_own_times(model, record)
     data = Data.of(record)
     run = fitted_run(model, record)
     x0, h = jnp.asarray(run.x0), jnp.asarray(record.sampling_time)

@@ -15,7 +15,7 @@ from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress, Silent
 from ...numerics.runtime import ready, undisturbed
 from ...numerics.stored_programs import stored
-from ...records import Record, check_compatible
+from ...records import Record, check_compatible, check_uniform
 from ..identify import identify
 from ..initialization.start import POOR, StartOptions, filled, subspace_starts
 from ..setup.options import drive_of, pick
@@ -86,6 +86,7 @@ def identify_many(
     if not records or not all(isinstance(r, Record) for r in records):
         raise ValueError("records must be a non-empty list of Record; for one record use identify.")
     check_compatible(records)
+    check_uniform(records)
     weight = pick("weight", weight, WEIGHTS)
     drive = drive_of(records[0], "force", input_map, False)
     form = structure_of(structure)
