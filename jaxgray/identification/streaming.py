@@ -5,6 +5,7 @@ record continue it, later records of the same system join it.
 """
 
 import dataclasses
+import io
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from ..mechanics.model import MechanicalModel
 from ..mechanics.statespace import check_hold
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.runtime import give_back, ready
+from ..numerics.whole_files import write_whole
 from ..records import Record
 from ..records.chunks import CHUNK_SAMPLES, read_chunks
 from .initialization.physical_grid import physical_grid
@@ -116,7 +118,7 @@ class CompressedRecord:
         )
 
     def save(self, path) -> None:
-        """Write it to a NPZ file."""
+        """Write it to a NPZ file, which is whole or not there."""
         pattern = self.pattern
         told = {
             "names": [pattern.input_names, pattern.output_names],
@@ -130,7 +132,9 @@ class CompressedRecord:
         }
         arrays = {f"part{k}_{j}": leaf for k, m in enumerate(self.parts) for j, leaf in enumerate(_leaves(m))}
         sizes = {"inputs": self.scaling.inputs, "outputs": self.scaling.outputs}
-        np.savez(path, told=json.dumps(told), level=self.level, poles=self.poles, **sizes, **arrays)
+        buffer = io.BytesIO()
+        np.savez(buffer, told=json.dumps(told), level=self.level, poles=self.poles, **sizes, **arrays)
+        write_whole(buffer.getvalue(), path)
 
     @classmethod
     def load(cls, path) -> "CompressedRecord":
