@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from .arguments import Manual, Talk, takes_groups
-from .files import check_places
 
 
 @takes_groups
@@ -13,7 +12,6 @@ def docs(manual: Manual, talk: Talk) -> None:
     The pages are made the first time, which takes half a minute, and kept in the user's cache directory.
     """
     if manual.out is not None:
-        check_places(folder=manual.out)
         _say(_built(manual.out, talk), talk)
         return
     import webbrowser

@@ -120,7 +120,7 @@ PLACES = [
     ("export good.json no/out.xml", "the folder no is not there"),
     ("export good.json good.json", "good.json is read by this command"),
     ("demo --out rec.csv", "rec.csv is no folder"),
-    ("docs --out rec.csv", "rec.csv is no folder"),
+    ("docs --out rec.csv", "rec.csv is a file"),
     ("fleet rec.csv --inputs u1 --outputs y1 --out rec.csv", "rec.csv"),
 ]
 
