@@ -48,7 +48,7 @@ def read_delimited(path: Path, *, delimiter: str | None = None, decimal: str | N
         named = [cell.strip() for cell in _cells([comment], delimiter)[0]] if comment else []
     except (csv.Error, TypeError, ValueError) as error:
         raise ValueError(f"{path.name} is no delimited text ({error}); say delimiter.") from None
-    headers = [cell.strip().strip('"') for cell in rows[0]]
+    headers = [cell.strip() for cell in rows[0]]
 
     if all(_is_number(cell) or cell.lower() in MISSING for cell in headers):
         # `numpy.savetxt` writes the names as a comment.
@@ -128,7 +128,7 @@ def _sniff(lines: list[str]) -> str:
 
 def _cells(lines: list[str], delimiter: str) -> list[list[str]]:
     if delimiter.isspace() and delimiter != "\t":
-        return [_WORD.findall(lines[0]), *(line.split() for line in lines[1:])]
+        return [[word.strip('"') for word in _WORD.findall(lines[0])], *(line.split() for line in lines[1:])]
     return list(csv.reader(lines, delimiter=delimiter, skipinitialspace=True))
 
 
