@@ -1,6 +1,8 @@
 """HDF5, and MATLAB files of version 7.3, which are HDF5."""
 
 import functools
+import mmap
+from collections.abc import Callable
 from math import prod
 from pathlib import Path
 
@@ -14,6 +16,9 @@ from jaxgray.records.table import Table
 COMPRESSIONS = {1: "deflate", 4: "szip", 32000: "lzf"}
 OTHER_FILTERS = {2: "shuffle", 3: "fletcher32"}
 """Filters of HDF5; one compression alone cannot expand without bound, one upon the other can."""
+
+HEAP = b"GCOL\1"
+"""Beginning of a global heap."""
 
 LONGEST_UNIT = 200
 """Bytes of the attribute of a dataset."""
@@ -60,11 +65,12 @@ def read_hdf5(path: Path, *, transposed: bool = False) -> Table:
         return values.T if transposed else values
 
     with hdf5_file(path) as file, reading(path, what):
+        sound = functools.cache(functools.partial(_heaps_end, file, path))
         for name, node in data_sets(file).items():
             if not name.startswith("#") and node.dtype.kind in KINDS and node.shape is not None:
                 shown = name.replace("/", ".") if transposed else name
                 shape = node.shape[::-1] if transposed else node.shape
-                arrays[shown] = Stored(shape, node.dtype, functools.partial(read, name), _unit(node))
+                arrays[shown] = Stored(shape, node.dtype, functools.partial(read, name), _unit(node, sound))
     return table_of_stored(path.name, arrays)
 
 
@@ -119,11 +125,46 @@ def readable(path: Path, node, rows: int | None = None):
     return node
 
 
-def _unit(node) -> str:
+def _unit(node, sound: Callable[[], bool]) -> str:
     for name in ("units", "unit"):
         if name in node.attrs:
             attribute = node.attrs.get_id(name)
-            if attribute.shape == () and attribute.dtype.kind in "SUO" and attribute.dtype.itemsize <= LONGEST_UNIT:
+            fits = attribute.shape == () and attribute.dtype.kind in "SUO" and attribute.dtype.itemsize <= LONGEST_UNIT
+            # Texts of variable length are kept as objects, and lie in a heap of the file.
+            if fits and (attribute.dtype.kind != "O" or sound()):
                 unit = node.attrs[name]
                 return unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
     return ""
+
+
+def _heaps_end(file, path: Path) -> bool:
+    """Whether all global heaps of a file can be walked to their end: in a damaged one the library never comes there.
+
+    **Reference:** HDF5 File Format Specification 3.0, section III.E, Disk Format: Level 1E - Global Heap.
+    """
+    _, size = file.id.get_create_plist().get_sizes()
+    with open(path, "rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        place = content.find(HEAP)
+        while place >= 0:
+            if not _heap_ends(content, place, size):
+                return False
+            place = content.find(HEAP, place + 1)
+    return True
+
+
+def _heap_ends(content, start: int, size: int) -> bool:
+    def length(place: int) -> int:
+        return int.from_bytes(content[place : place + size], "little")
+
+    head = 8 + size
+    end = start + length(start + 8)
+    # After the heap's own head, which is filled up to eight bytes, objects with heads of their own.
+    place = start + head + -head % 8
+    while place + head <= min(end, len(content)):
+        index, stored = int.from_bytes(content[place : place + 2], "little"), length(place + 8)
+        # What is free is the last, and its size counts its head.
+        step = head + -head % 8 + stored + -stored % 8 if index else stored
+        if not head <= step <= end - place:
+            return False
+        place += step
+    return True

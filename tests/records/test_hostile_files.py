@@ -195,6 +195,25 @@ def test_numbers_in_other_files_are_not_fetched(folder):
             list(read_chunks(folder / "a.h5", [name]))
 
 
+@pytest.mark.parametrize("version", ["earliest", "latest"])
+def test_a_heap_without_an_end_costs_the_units_alone(folder, version):
+    path = folder / "a.h5"
+    with h5py.File(path, "w", libver=version) as file:
+        file["u"], file["y"] = SERIES, SERIES
+        file["u"].attrs["units"], file["y"].attrs["units"] = "N", np.bytes_("mm")
+    assert read_record(path, **CHANNELS).input_units == ("N",)
+    content = bytearray(path.read_bytes())
+    place = content.index(b"GCOL")
+    # One text of one letter, then what is free: HDF5 never comes to the end of nothing.
+    free = place + 16 + 16 + 8
+    assert content[free : free + 2] == b"\0\0" and any(content[free + 8 : free + 16])
+    for size in (0, 1, 2**64 - 16):
+        content[free + 8 : free + 16] = size.to_bytes(8, "little")
+        path.write_bytes(content)
+        record = read_record(path, **CHANNELS)
+        assert (record.input_units, record.output_units) == (("",), ("mm",))
+
+
 def test_what_nests_deep_ends_with_a_line(folder):
     # A structure of one field that holds the next, and so on.
     head = struct.pack("<IIQ", 6, 8, 2) + struct.pack("<IIii", 5, 8, 1, 1) + struct.pack("<II", 1, 0)
