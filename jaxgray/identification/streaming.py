@@ -9,6 +9,7 @@ import io
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,8 @@ from ..numerics.runtime import give_back, ready
 from ..numerics.whole_files import write_whole
 from ..records import Record
 from ..records.chunks import CHUNK_SAMPLES, read_chunks
+from ..records.containers import KINDS, npz_members
+from ..records.limits import check_file, reading
 from .initialization.physical_grid import physical_grid
 from .initialization.start import StartOptions, subspace_starts
 from .setup.options import drive_of
@@ -138,8 +141,14 @@ class CompressedRecord:
 
     @classmethod
     def load(cls, path) -> "CompressedRecord":
-        """Read what `save` wrote."""
-        with np.load(path) as file:
+        """Read what `save` wrote.
+
+        **Raises:** `ValueError` where it is something else.
+        """
+        path = Path(path)
+        check_file(path)
+        with reading(path, "compressed record"):
+            file = {name: stored.read() for name, stored in npz_members(path, KINDS + "U").items()}
             told = json.loads(str(file["told"]))
             pattern = pattern_of(
                 told["names"], told["units"], told["hold"], tuple(told["measured"]), told["sampling_time"]
