@@ -103,6 +103,11 @@ class _Footer:
         value = self.number()
         return (value >> 1) ^ -(value & 1)
 
+    def skip(self, count: int) -> None:
+        self.place += count
+        if self.place > len(self.data):
+            raise ValueError("its footer is cut off")
+
     def structure(self, depth: int = 0) -> dict:
         if depth > DEEPEST:
             raise ValueError("its footer is nested too deep")
@@ -120,16 +125,14 @@ class _Footer:
         if kind in (4, 5, 6):
             return self.signed()
         if kind == 7:
-            self.place += 8
-            return None
+            return self.skip(8)
         if kind == 8:
-            length = self.number()
-            self.place += length
-            return None
+            return self.skip(self.number())
         if kind in (9, 10):
             head = self.byte()
             count = self.number() if head >> 4 == 15 else head >> 4
-            # Every element takes a byte at least, so that the end of the footer is met.
+            if count > len(self.data) - self.place:
+                raise ValueError(f"its footer has a list of {count} elements")
             return [self.value(head & 15, depth + 1, True) for _ in range(count)]
         if kind == 12:
             return self.structure(depth + 1)

@@ -195,6 +195,16 @@ def test_numbers_in_other_files_are_not_fetched(folder):
             list(read_chunks(folder / "a.h5", [name]))
 
 
+@pytest.mark.parametrize("kind", range(16))
+def test_a_footer_of_parquet_that_declares_a_long_list(folder, kind):
+    # Field 1 of the footer: a list of 2**31 elements of this kind.
+    footer = bytes([0x19, 0xF0 | kind, 0xFF, 0xFF, 0xFF, 0xFF, 0x07])
+    (folder / "a.parquet").write_bytes(b"PAR1" + footer + struct.pack("<I", len(footer)) + b"PAR1")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_utime
+    refused(folder / "a.parquet", "a.parquet is no Parquet file")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - before < 1.0
+
+
 @pytest.mark.parametrize("version", ["earliest", "latest"])
 def test_a_heap_without_an_end_costs_the_units_alone(folder, version):
     path = folder / "a.h5"
