@@ -408,4 +408,19 @@ def hidden_of(text: str | None):
     text = text.strip()
     if text == "auto":
         return text
-    return int(text) if text.isdigit() else [name.strip() for name in text.split(",") if name.strip()]
+    if text.isdecimal():
+        return int(text)
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names or any(_is_number(name) for name in names):
+        raise ValueError(
+            f"--hidden={text!r} is not understood; give a whole number, auto, or names with commas between."
+        )
+    return names
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

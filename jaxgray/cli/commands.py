@@ -63,7 +63,7 @@ def identify(
     from . import files
 
     files.check_holdout(channels)
-    files.check_places(output.json, reporting.report)
+    files.check_places(output.json, reporting.report, read=(file.file, channels.validation), folder=output.figures)
     options = subspace_options(excitation)
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
@@ -107,7 +107,7 @@ def sweep(file: File, channels: Channels, excitation: Excitation, spacing: Spaci
     from . import files
 
     files.check_holdout(channels)
-    files.check_places(output.json)
+    files.check_places(output.json, read=(file.file, channels.validation), folder=output.figures)
     options = subspace_options(excitation)
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
@@ -133,7 +133,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
     from ..report import terminal
     from . import files
 
-    files.check_places(simulating.json, simulating.out)
+    files.check_places(simulating.json, simulating.out, read=(file.file, simulating.model))
     notes: list[str] = []
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
         progress.stage("starting")
@@ -186,7 +186,7 @@ def export(exporting: Exporting, talk: Talk) -> None:
     from . import files
     from .environment import prepare
 
-    files.check_places(exporting.out)
+    files.check_places(exporting.out, read=(exporting.model,))
     prepare(verbose=talk.verbose)
     from ..report import exports
     from ..report.export import load

@@ -46,7 +46,9 @@ def diagnose(
     from . import files
 
     files.check_holdout(channels)
-    files.check_places(output.json, reporting.report, diagnosing.experiment, simulating.mended)
+    places = output.json, reporting.report, diagnosing.experiment, simulating.mended
+    read = file.file, channels.validation, diagnosing.model, simulating.simulator
+    files.check_places(*places, read=read, folder=output.figures)
     checked(fitting, diagnosing)
     check_simulator(simulating, diagnosing, excitation, fitting)
     options = subspace_options(excitation)
@@ -204,13 +206,16 @@ def effects(listing: Listing) -> None:
 def demo(demonstrating: Demonstrating, talk: Talk) -> None:
     """Simulate a system of known mass, damping and stiffness with a hidden effect, diagnose it, and compare."""
     from ..report import terminal
+    from . import files
 
+    files.check_places(folder=demonstrating.out)
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
         progress.stage("starting")
         from .environment import prepare
 
         prepare(verbose=talk.verbose)
         from .. import demonstration
+        from ..numerics.whole_files import write_together
         from ..report import export
         from ..report.columns import columns_text, record_columns
         from ..report.diagnosis_summary import diagnosis_document
@@ -225,10 +230,8 @@ def demo(demonstrating: Demonstrating, talk: Talk) -> None:
                 text = columns_text(record_columns(record))
                 written[folder / f"{name}.csv"] = text.encode()
             written |= page(folder / "report.html", made.diagnosis, [])
-    for path, content in written.items():
-        export.write_whole(content, path)
-    if demonstrating.out is not None:
-        export.write_json(demonstration.truth_document(made), demonstrating.out / "truth.json")
-        export.write_json(document, demonstrating.out / "result.json")
+            for name, one in (("truth", demonstration.truth_document(made)), ("result", document)):
+                written[folder / f"{name}.json"] = export.json_text(one).encode()
+    write_together(written)
     if not talk.quiet:
         demonstration.show(terminal.console(), made, document)

@@ -1,7 +1,6 @@
 """Reading records and models for the commands, and where results may go."""
 
 import dataclasses
-import json
 import warnings
 from pathlib import Path
 
@@ -217,19 +216,35 @@ def parameters(text: str | None) -> dict[str, float] | None:
 
 def record_of(path: Path) -> dict:
     """Sampling time and hold of the record that a model came from, where its file says so."""
-    if path.suffix.lower() != ".json":
-        return {}
-    records = json.loads(path.read_text(encoding="utf-8")).get("records")
+    from ..report.export import read_json
+
+    records = read_json(path).get("records") if path.suffix.lower() == ".json" else None
     estimation = records.get("estimation") if isinstance(records, dict) else None
-    return estimation[0] if estimation else {}
+    first = estimation[0] if isinstance(estimation, list) and estimation else None
+    return first if isinstance(first, dict) else {}
 
 
-def check_places(*paths) -> None:
-    """Raise `ValueError` for a file that could not be written, before time is spent on what goes into it."""
+def check_places(*paths, read=(), folder: Path | None = None) -> None:
+    """Raise `ValueError` for a file that could not be written, before time is spent on what goes into it.
+
+    **Arguments:** `paths`: to be written, None for none; `read`: files that the command reads, which are not to be
+    lost; `folder`: that is made where it is not there, default none.
+    """
+    from ..numerics.whole_files import check_place
+
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} is no folder; give another name.")
+    kept = {Path(path).resolve() for path in read if path is not None}
+    taken = set()
     for path in paths:
         if path is None or str(path) == "-":
             continue
-        if Path(path).is_dir():
-            raise ValueError(f"{path} is a folder; give the name of a file.")
-        if not Path(path).parent.is_dir():
-            raise ValueError(f"{path}: the folder {Path(path).parent} is not there; create it first.")
+        check_place(path)
+        place = Path(path).resolve()
+        if place in kept:
+            raise ValueError(
+                f"{path} is read by this command, and would be lost; give another name for what is written."
+            )
+        if place in taken:
+            raise ValueError(f"{path} is asked for twice; give every file a name of its own.")
+        taken.add(place)

@@ -24,12 +24,11 @@ def subspace_options(excitation: Excitation) -> dict:
 
 def finish(document: dict, show, talk: Talk, target: str | None, files: dict[Path, bytes], notes: list[str]) -> None:
     """Write everything that was asked for, then say it; the reader's notes go to the error stream."""
+    from ..numerics.whole_files import write_together
     from ..report import export, terminal
 
-    for path, content in files.items():
-        export.write_whole(content, path)
-    if target is not None and target != "-":
-        export.write_json(document, target)
+    wanted = {target: export.json_text(document).encode()} if target not in (None, "-") else {}
+    write_together(files | wanted)
     if target == "-":
         sys.stdout.write(json.dumps(export.plain(document), allow_nan=False, indent=1) + "\n")
         notes = document["warnings"]

@@ -73,6 +73,8 @@ def _check(fleet: Fleet, channels: Channels, diagnosing: Diagnosing) -> None:
     ):
         if given is not None:
             raise ValueError(f"{option} is about one record; leave it out, or diagnose that record by itself.")
+    if fleet.workers is not None and fleet.workers < 1:
+        raise ValueError(f"--workers={fleet.workers} is no number of processes; give a whole number from 1.")
     if fleet.workers is not None and fleet.scheduler is not None:
         raise ValueError("--workers and --scheduler are both given; leave one out.")
 

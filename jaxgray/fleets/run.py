@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..numerics.progress import AbstractProgress, Silent
+from ..numerics.whole_files import write_whole
 from ..report.export import write_json
 from ..report.page import library_script, rendered
 from .drift.changes import FEWEST
@@ -18,7 +19,7 @@ from .drift.series import Naming
 from .drift.shown import drift_document, drift_section
 from .page import population_page
 from .runner import AbstractEngine, Lost, carry_out, engines, refuse
-from .store import Store, write_whole
+from .store import Store
 from .tables import row_of, write_tables
 from .tasks import TASKS, Job, Options, batches, content_hash, key_of, listed, names
 from .worker import failed_result, plan, work
@@ -172,11 +173,11 @@ def fleet(
     table, matrices = write_tables(store.folder, rows, documents)
     page = store.folder / "index.html"
     sections = () if naming.pattern is None else (drift_section(drifts, alone),)
-    write_whole(page, rendered(population_page(rows, options.task, sections)).encode())
+    write_whole(rendered(population_page(rows, options.task, sections)).encode(), page)
     if naming.pattern is not None:
         write_json(drift_document(drifts, alone), store.folder / "drift.json")
     if pages:
-        write_whole(store.pages / "library.js", library_script().encode())
+        write_whole(library_script().encode(), store.pages / "library.js")
     return Fleet(
         store.folder,
         tuple(str(file) for file in files),
@@ -321,7 +322,9 @@ def _contents(files: list[Path], store: Store) -> tuple[dict[Path, str], dict[Pa
     """Hash of every file that can be read, and why the others cannot."""
     try:
         known = json.loads((store.folder / HASHES).read_text())
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
+        known = {}
+    if not isinstance(known, dict) or not all(isinstance(one, list) and len(one) == 3 for one in known.values()):
         known = {}
     contents, unread, hashes = {}, {}, {}
 
@@ -342,7 +345,7 @@ def _contents(files: list[Path], store: Store) -> tuple[dict[Path, str], dict[Pa
             else:
                 hashes[str(file)], contents[file] = found, found[2]
     if hashes != known:
-        write_whole(store.folder / HASHES, json.dumps(known | hashes).encode())
+        write_whole(json.dumps(known | hashes).encode(), store.folder / HASHES)
     return contents, unread
 
 

@@ -1,16 +1,12 @@
 """The folder of a fleet: one file a result, whole or not there. It alone says what has been done."""
 
-import contextlib
 import json
 import os
-import socket
-import uuid
 from pathlib import Path
 
-RESULT = "jaxgray/fleet-record/1"
+from ..numerics.whole_files import part_name, replace_files, tidy
 
-PART = ".part-"
-"""How the names of files begin that are being written."""
+RESULT = "jaxgray/fleet-record/1"
 
 
 class Store:
@@ -31,7 +27,7 @@ class Store:
         try:
             for place in (self.results, self.pages, self.plans):
                 place.mkdir(parents=True, exist_ok=True)
-                probe = place / _part_name()
+                probe = place / part_name()
                 probe.write_bytes(b"1")
                 probe.unlink()
         except OSError as error:
@@ -43,13 +39,8 @@ class Store:
 
     def tidy(self) -> None:
         """Remove half-written files whose process on this machine is gone."""
-        here = socket.gethostname()
         for place in (self.folder, self.results, self.pages, self.plans):
-            for path in place.glob(f"{PART}*"):
-                host, _, rest = path.name.removeprefix(PART).rpartition("@")
-                process = rest.split("-")[0]
-                if host == here and process.isdigit() and not _alive(int(process)):
-                    path.unlink(missing_ok=True)
+            tidy(place)
 
     def keys(self) -> set[str]:
         """Keys of all results that are there."""
@@ -62,8 +53,9 @@ class Store:
     def read(self, key: str) -> dict | None:
         """A result; None where it is not there. One that is not whole, as after a crash of the disk, is removed."""
         found = _read(self.results / f"{key}.json")
-        if found is None:
+        if found is None or found.get("schema") != RESULT:
             self.remove(key)
+            return None
         return found
 
     def write(self, key: str, document: dict) -> None:
@@ -74,7 +66,7 @@ class Store:
         from ..report.export import plain
 
         text = json.dumps(plain({"schema": RESULT, "key": key, **document}), allow_nan=False, ensure_ascii=False)
-        write_whole(self.results / f"{key}.json", text.encode())
+        replace_files({self.results / f"{key}.json": text.encode()})
 
     def remove(self, key: str) -> None:
         """Forget a result, so that it is computed again."""
@@ -82,7 +74,7 @@ class Store:
 
     def write_page(self, key: str, html: str) -> None:
         """Keep the page of a record."""
-        write_whole(self.pages / f"{key}.html", html.encode())
+        replace_files({self.pages / f"{key}.html": html.encode()})
 
     def read_plan(self, name: str) -> dict | None:
         """What was decided for all records of a fleet; None where nothing was."""
@@ -90,44 +82,12 @@ class Store:
 
     def write_plan(self, name: str, plan: dict) -> None:
         """Keep what was decided for all records."""
-        write_whole(self.plans / f"{name}.json", json.dumps(plan, allow_nan=False).encode())
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Through a file beside it, written to the disk before it gets its name.
-
-    **Raises:** `OSError` that names the file, where it cannot be written.
-    """
-    beside = path.with_name(_part_name())
-    try:
-        with open(beside, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror or str(error), str(path)) from None
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
-
-
-def _part_name() -> str:
-    return f"{PART}{socket.gethostname()}@{os.getpid()}-{uuid.uuid4().hex}"
+        replace_files({self.plans / f"{name}.json": json.dumps(plan, allow_nan=False).encode()})
 
 
 def _read(path: Path) -> dict | None:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError, RecursionError):
         return None
-
-
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
+    return found if isinstance(found, dict) else None

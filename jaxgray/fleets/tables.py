@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from ..diagnosis.words.titles import place_of
+from ..numerics.whole_files import replacing, write_whole
 from ..report.diagnosis_rows import coordinate_names
 from ..report.identification_rows import MATRICES
 from .drift.series import Naming
-from .store import Store, write_whole
+from .store import Store
 
 TABLE, ARRAYS = "results.parquet", "matrices.nc"
 
@@ -161,7 +162,7 @@ def write_tables(folder: Path, rows: list[dict], documents: Iterable) -> tuple[P
         fields.append((name, pyarrow.array(values, kind)))
     buffer = io.BytesIO()
     pyarrow.parquet.write_table(pyarrow.table(dict(fields)), buffer)
-    write_whole(folder / TABLE, buffer.getvalue())
+    write_whole(buffer.getvalue(), folder / TABLE)
     return folder / TABLE, _write_matrices(folder, rows, documents)
 
 
@@ -212,10 +213,6 @@ def _write_matrices(folder: Path, rows: list[dict], documents: Iterable) -> Path
         attrs={"inputs": ", ".join(inputs), "covariance_of": "upper triangles by columns, in units of the records"},
     )
     path = folder / ARRAYS
-    beside = path.with_name(f".part-{path.name}")
-    try:
+    with replacing(path) as beside:
         data.to_netcdf(beside, engine="h5netcdf")
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
     return path

@@ -5,9 +5,11 @@ record continue it, later records of the same system join it.
 """
 
 import dataclasses
+import io
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +19,11 @@ from ..mechanics.model import MechanicalModel
 from ..mechanics.statespace import check_hold
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.runtime import give_back, ready
+from ..numerics.whole_files import write_whole
 from ..records import Record
 from ..records.chunks import CHUNK_SAMPLES, read_chunks
+from ..records.containers import KINDS, npz_members
+from ..records.limits import check_file, reading
 from .initialization.physical_grid import physical_grid
 from .initialization.start import StartOptions, subspace_starts
 from .setup.options import drive_of
@@ -116,7 +121,7 @@ class CompressedRecord:
         )
 
     def save(self, path) -> None:
-        """Write it to a NPZ file."""
+        """Write it to a NPZ file, which is whole or not there."""
         pattern = self.pattern
         told = {
             "names": [pattern.input_names, pattern.output_names],
@@ -130,12 +135,20 @@ class CompressedRecord:
         }
         arrays = {f"part{k}_{j}": leaf for k, m in enumerate(self.parts) for j, leaf in enumerate(_leaves(m))}
         sizes = {"inputs": self.scaling.inputs, "outputs": self.scaling.outputs}
-        np.savez(path, told=json.dumps(told), level=self.level, poles=self.poles, **sizes, **arrays)
+        buffer = io.BytesIO()
+        np.savez(buffer, told=json.dumps(told), level=self.level, poles=self.poles, **sizes, **arrays)
+        write_whole(buffer.getvalue(), path)
 
     @classmethod
     def load(cls, path) -> "CompressedRecord":
-        """Read what `save` wrote."""
-        with np.load(path) as file:
+        """Read what `save` wrote.
+
+        **Raises:** `ValueError` where it is something else.
+        """
+        path = Path(path)
+        check_file(path)
+        with reading(path, "compressed record"):
+            file = {name: stored.read() for name, stored in npz_members(path, KINDS + "U").items()}
             told = json.loads(str(file["told"]))
             pattern = pattern_of(
                 told["names"], told["units"], told["hold"], tuple(told["measured"]), told["sampling_time"]

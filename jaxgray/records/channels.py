@@ -35,7 +35,7 @@ def as_seconds(name: str, value, positive: bool = True) -> float:
     """A finite number of seconds."""
     try:
         seconds = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         seconds = np.nan
     if not np.isfinite(seconds) or (positive and seconds <= 0.0):
         raise ValueError(f"{name} is {value!r}; give a{' positive' if positive else ''} number of seconds.")

@@ -6,7 +6,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from jaxgray.records.containers import mapped
+from jaxgray.records.hdf5 import data_sets, hdf5_file, readable
+from jaxgray.records.limits import Refused, check_file, reading
+from jaxgray.records.parquet import parquet_file, parquet_numbers, row_groups
+
 CHUNK_SAMPLES = 2**16
+PARQUET, HDF5 = "Parquet file", "HDF5 file"
 
 
 def read_chunks(
@@ -43,11 +49,11 @@ def count_rows(path, columns: Sequence[str]) -> int:
     if kind == ".npy":
         return _npy_shape(path)[0][0]
     if kind == ".parquet":
-        with _parquet_file(path) as file:
+        with parquet_file(path) as file:
             return file.metadata.num_rows
-    with _hdf5_file(path) as file:
-        name = columns[0].partition("[")[0]
-        return len(file[_known(path, name, _data_sets(file))])
+    with hdf5_file(path) as file, reading(path, HDF5):
+        name, nodes = columns[0].partition("[")[0], data_sets(file)
+        return len(nodes[_known(path, name, nodes)])
 
 
 def read_rows(path, columns: Sequence[str], first: int, count: int) -> Float[np.ndarray, "samples columns"]:
@@ -61,18 +67,17 @@ def read_rows(path, columns: Sequence[str], first: int, count: int) -> Float[np.
     kind = path.suffix.lower()
     if kind == ".npy":
         places, named = _npy_places(path, columns)
-        part = np.load(path, mmap_mode="r")[first : first + count]
+        part = mapped(path)[first : first + count]
         return _npy_part(part, columns, places, named)
     if kind == ".parquet":
         return _parquet_rows(path, columns, first, count)
-    with _hdf5_file(path) as file:
-        return _hdf5_part(_hdf5_columns(path, file, columns), slice(first, first + count))
+    with hdf5_file(path) as file, reading(path, HDF5):
+        return _hdf5_part(_hdf5_columns(path, file, columns, count), slice(first, first + count))
 
 
 def _file(path) -> Path:
     path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"path: {path} does not exist; give the path of a file.")
+    check_file(path)
     if path.suffix.lower() not in READERS:
         raise ValueError(f"path: {path.name} cannot be read in chunks; convert it to {', '.join(READERS)}.")
     return path
@@ -80,7 +85,7 @@ def _file(path) -> Path:
 
 def _known(path: Path, name: str, names) -> str:
     if name not in names:
-        raise ValueError(f"column {name!r} is not in {path.name}; it has {', '.join(list(names)[:20])}.")
+        raise Refused(f"column {name!r} is not in {path.name}; it has {', '.join(list(names)[:20])}.")
     return name
 
 
@@ -88,7 +93,7 @@ def _npy(path: Path, columns: tuple[str, ...], size: int) -> Iterator[np.ndarray
     places, named = _npy_places(path, columns)
     for first in range(0, _npy_shape(path)[0][0], size):
         # Mapped anew for every chunk: pages of a lasting map would pile up in memory.
-        yield _npy_part(np.load(path, mmap_mode="r")[first : first + size], columns, places, named)
+        yield _npy_part(mapped(path)[first : first + size], columns, places, named)
 
 
 def _npy_places(path: Path, columns: tuple[str, ...]) -> tuple[list[int], bool]:
@@ -105,69 +110,53 @@ def _npy_part(part: np.ndarray, columns: tuple[str, ...], places: list[int], nam
 
 
 def _npy_shape(path: Path) -> tuple[tuple[int, ...], np.dtype]:
-    try:
-        mapped = np.load(path, mmap_mode="r")
-    except (OSError, ValueError):
-        raise ValueError(f"{path.name} is no NPY file that can be mapped; save one array of numbers.") from None
-    return mapped.shape, mapped.dtype
-
-
-def _parquet_file(path: Path):
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise ImportError(f"{path.name} needs pyarrow: pip install 'jaxgray[parquet]'.") from None
-    return pyarrow.parquet.ParquetFile(path)
+    array = mapped(path)
+    if array.ndim == 0:
+        raise ValueError(f"{path.name} holds a single number; save one array with the samples first.")
+    return array.shape, array.dtype
 
 
 def _parquet_part(part, columns: tuple[str, ...]) -> np.ndarray:
-    return np.stack([part.column(name).to_numpy(zero_copy_only=False) for name in columns], axis=1).astype(float)
+    return np.stack([parquet_numbers(part.column(name)) for name in columns], axis=1).astype(float)
 
 
 def _parquet(path: Path, columns: tuple[str, ...], size: int) -> Iterator[np.ndarray]:
-    with _parquet_file(path) as file:
-        for name in columns:
-            _known(path, name, file.schema_arrow.names)
+    with _parquet_columns(path, columns) as file, reading(path, PARQUET):
         for batch in file.iter_batches(batch_size=size, columns=list(columns)):
             yield _parquet_part(batch, columns)
 
 
-def _parquet_rows(path: Path, columns: tuple[str, ...], first: int, count: int) -> np.ndarray:
-    with _parquet_file(path) as file:
+def _parquet_columns(path: Path, columns: tuple[str, ...]):
+    with parquet_file(path) as file:
         for name in columns:
             _known(path, name, file.schema_arrow.names)
-        sizes = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
+    return parquet_file(path, columns)
+
+
+def _parquet_rows(path: Path, columns: tuple[str, ...], first: int, count: int) -> np.ndarray:
+    with _parquet_columns(path, columns) as file, reading(path, PARQUET):
+        sizes = [rows for rows, _ in row_groups(path)]
         ends = np.cumsum(sizes)
         wanted = [k for k, end in enumerate(ends) if end > first and end - sizes[k] < first + count]
         if not wanted:
             return np.zeros((0, len(columns)))
-        before = int(ends[wanted[0]] - sizes[wanted[0]])
-        table = file.read_row_groups(wanted, columns=list(columns)).slice(first - before, count)
-        return np.stack([table.column(name).to_numpy() for name in columns], axis=1).astype(float)
+        left = first - int(ends[wanted[0]] - sizes[wanted[0]])
+        parts = []
+        for batch in file.iter_batches(CHUNK_SAMPLES, row_groups=wanted, columns=list(columns)):
+            if left < batch.num_rows and count > 0:
+                parts.append(_parquet_part(batch.slice(max(0, left), count), columns))
+                count -= len(parts[-1])
+            left -= batch.num_rows
+        return np.concatenate(parts) if parts else np.zeros((0, len(columns)))
 
 
-def _hdf5_file(path: Path):
-    try:
-        import h5py
-    except ImportError:
-        raise ImportError(f"{path.name} needs h5py: pip install 'jaxgray[hdf5]'.") from None
-    return h5py.File(path, "r")
-
-
-def _data_sets(file) -> list[str]:
-    import h5py
-
-    names: list[str] = []
-    file.visititems(lambda name, node: names.append(name) if isinstance(node, h5py.Dataset) else None)
-    return names
-
-
-def _hdf5_columns(path: Path, file, columns: tuple[str, ...]) -> list:
-    """Data set and column of each name."""
-    names, wanted = _data_sets(file), []
+def _hdf5_columns(path: Path, file, columns: tuple[str, ...], rows: int) -> list:
+    """Data set and column of each name; so many rows are read at once."""
+    nodes, wanted = data_sets(file), []
     for column in columns:
         name, bracket, place = column.partition("[")
-        wanted.append((file[_known(path, name, names)], int(place.rstrip("]")) if bracket else None))
+        node = readable(path, nodes[_known(path, name, nodes)], rows)
+        wanted.append((node, int(place.rstrip("]")) if bracket else None))
     return wanted
 
 
@@ -177,8 +166,8 @@ def _hdf5_part(wanted: list, rows: slice) -> np.ndarray:
 
 
 def _hdf5(path: Path, columns: tuple[str, ...], size: int) -> Iterator[np.ndarray]:
-    with _hdf5_file(path) as file:
-        wanted = _hdf5_columns(path, file, columns)
+    with hdf5_file(path) as file, reading(path, HDF5):
+        wanted = _hdf5_columns(path, file, columns, size)
         for first in range(0, len(wanted[0][0]), size):
             yield _hdf5_part(wanted, slice(first, first + size))
 

@@ -1,12 +1,42 @@
-"""Arrays by name: npz, npy, mat, hdf5 and parquet."""
+"""Arrays by name: npz, npy and mat up to version 7, and what they share with other formats.
 
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+A file is asked for the names, types and shapes of its columns; numbers are read once a record needs them, and only
+where the file is large enough to hold them.
+"""
+
+import functools
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 
 import numpy as np
 
+from jaxgray.records.limits import Refused, check_size, reading
 from jaxgray.records.table import Table
+
+KINDS = "fiubmM"
+"""Kinds of numbers, dates among them."""
+
+ENCRYPTED = 1
+"""Flag of a member of a zip file."""
+
+MOST_COLUMNS = 100_000
+"""Of a file; more would take longer to name than to read."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """An array that has not been read.
+
+    **Arguments:** `shape`; `dtype`; `read`: gives the array; `unit`: of its numbers, default none.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    read: Callable[[], np.ndarray]
+    unit: str = ""
 
 
 def read_npz(path: Path) -> Table:
@@ -20,16 +50,48 @@ def read_npz(path: Path) -> Table:
 
     **Raises:** `ValueError` where the file is no archive of numbers.
     """
-    arrays = {}
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            for name in archive.files:
-                # Python objects would run code on being read; what else is in the file can still be used.
-                with suppress(ValueError):
-                    arrays[name] = archive[name]
-    except Exception as error:  # A damaged file fails in as many ways as the library has steps.
-        raise ValueError(f"{path.name} is no npz archive of numbers ({one_line(error)}).") from None
-    return table_of_arrays(path.name, arrays)
+    return table_of_stored(path.name, npz_members(path))
+
+
+def npz_members(path: Path, kinds: str = KINDS) -> dict[str, Stored]:
+    """The arrays of a NumPy archive by name, not read yet.
+
+    **Arguments:** `path`: the file; `kinds`: of NumPy's types that are wanted, default numbers.
+
+    **Raises:** `ValueError` where the file is no archive.
+    """
+    arrays, what = {}, "npz archive of numbers"
+
+    def read(member: zipfile.ZipInfo, size: int) -> np.ndarray:
+        check_size(path.name, member.filename, size, path.stat().st_size)
+        with reading(path, what), zipfile.ZipFile(path) as archive, archive.open(member) as file:
+            return np.lib.format.read_array(file, allow_pickle=False)
+
+    with reading(path, what), zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            shape, dtype = _npy_head(archive, member)
+            # Python objects would run code on being read; what else is in the file can still be used.
+            if dtype.kind in kinds:
+                size = prod(shape) * dtype.itemsize
+                name = member.filename.removesuffix(".npy")
+                arrays[name] = Stored(shape, dtype, functools.partial(read, member, size))
+    return arrays
+
+
+def _npy_head(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type of one member of an archive; those of an object for what is no array."""
+    none = (), np.dtype(object)
+    # What NumPy writes; other compressions expand without bound.
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & ENCRYPTED:
+        return none
+    with archive.open(member) as file:
+        try:
+            first = np.lib.format.read_magic(file) == (1, 0)
+            header = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+            shape, _, dtype = header(file)
+        except ValueError:
+            return none
+    return shape, dtype
 
 
 def read_npy(path: Path) -> Table:
@@ -45,145 +107,71 @@ def read_npy(path: Path) -> Table:
 
     **Raises:** `ValueError` where the file is no array of numbers.
     """
-    try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except Exception as error:  # A damaged file fails in as many ways as the library has steps.
-        raise ValueError(f"{path.name} is no npy array of numbers ({one_line(error)}).") from None
+    array = mapped(path)
     if array.dtype.names is not None:
         return table_of_arrays(path.name, {name: array[name] for name in array.dtype.names})
     return table_of_arrays(path.name, {"data": array})
 
 
-def read_mat(path: Path) -> Table:
-    """A MATLAB file, version 5 or 7.3; fields of a structure `data` are `data.u`.
+def mapped(path: Path) -> np.ndarray:
+    """The array of a NPY file, mapped into memory.
 
-    **Arguments:**
-
-    - `path`: the file.
-
-    **Returns:** a `Table`.
-
-    **Raises:** `ValueError` where the file is no such file.
+    **Raises:** `ValueError` where the file is no array of numbers.
     """
-    from scipy.io import loadmat
-
-    try:
-        found = loadmat(path, simplify_cells=True)
-    except NotImplementedError:
-        # Version 7.3 is HDF5 with the axes the other way round.
-        return read_hdf5(path, transposed=True)
-    except Exception as error:  # A damaged file fails in as many ways as the library has steps.
-        raise ValueError(f"{path.name} is no MATLAB file ({one_line(error)}).") from None
-    arrays = {name: value for name, value in _members(found) if not name.startswith("__")}
-    return table_of_arrays(path.name, arrays)
+    with reading(path, "npy array of numbers"):
+        return np.load(path, mmap_mode="r", allow_pickle=False)
 
 
-def read_hdf5(path: Path, *, transposed: bool = False) -> Table:
-    """An HDF5 file; a dataset in a group is `group/u`, its attribute `units` or `unit` is taken.
-
-    **Arguments:**
-
-    - `path`: the file.
-    - `transposed`: whether 2-D arrays have the samples last, as MATLAB writes them; default False.
-
-    **Returns:** a `Table`.
-
-    **Raises:** `ImportError` without h5py, `ValueError` where the file is no HDF5.
-    """
-    try:
-        import h5py
-    except ImportError:
-        raise ImportError(f"{path.name} needs h5py: pip install 'jaxgray[hdf5]'.") from None
-
-    arrays, units = {}, {}
-    try:
-        with h5py.File(path, "r") as file:
-
-            def visit(name, node):
-                if not isinstance(node, h5py.Dataset) or name.startswith("#"):
-                    return
-                if node.dtype.kind in "fiub" and node.shape is not None:
-                    name = name.replace("/", ".") if transposed else name
-                    arrays[name] = node[()].T if transposed else node[()]
-                    unit = node.attrs.get("units", node.attrs.get("unit", ""))
-                    units[name] = unit.decode() if isinstance(unit, bytes) else str(unit)
-
-            file.visititems(visit)
-    except OSError as error:
-        raise ValueError(f"{path.name} is no HDF5 file ({one_line(error)}).") from None
-    return table_of_arrays(path.name, arrays, units)
-
-
-def read_parquet(path: Path) -> Table:
-    """A Parquet file.
-
-    **Arguments:**
-
-    - `path`: the file.
-
-    **Returns:** a `Table`.
-
-    **Raises:** `ImportError` without pyarrow, `ValueError` where the file is no Parquet.
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise ImportError(f"{path.name} needs pyarrow: pip install 'jaxgray[parquet]'.") from None
-
-    try:
-        table = pyarrow.parquet.read_table(path, pre_buffer=False)
-    except (pyarrow.ArrowException, OSError) as error:
-        raise ValueError(f"{path.name} is no Parquet file ({one_line(error)}).") from None
-
-    def column(position: int) -> np.ndarray:
-        return table.column(position).to_numpy()
-
-    return Table(path.name, tuple(table.column_names), column)
-
-
-def table_of_arrays(source: str, arrays: Mapping[str, object], units=None) -> Table:
+def table_of_arrays(source: str, arrays: Mapping[str, object]) -> Table:
     """Columns out of named arrays, samples along the longer axis.
 
     **Arguments:**
 
     - `source`: the file's name, for messages.
     - `arrays`: values by name; text and arrays of three or more dimensions are left out.
-    - `units`: units by name; default none.
 
     **Returns:** a `Table`.
     """
-    columns, scalars, known = {}, {}, {}
+    stored = {}
     for name, value in arrays.items():
         array = np.asarray(value)
-        if array.dtype.kind not in "fiubmM" or array.ndim > 2:
+        stored[name] = Stored(array.shape, array.dtype, lambda array=array: array)
+    return table_of_stored(source, stored)
+
+
+def table_of_stored(source: str, arrays: Mapping[str, Stored]) -> Table:
+    """Columns out of named arrays that are read once they are asked for, samples along the longer axis.
+
+    **Arguments:** `source`: as for `table_of_arrays`; `arrays`: by name, likewise.
+
+    **Returns:** a `Table`.
+    """
+    columns: dict[str, tuple[str, int | None]] = {}
+    scalars, units = {}, {}
+    for name, stored in arrays.items():
+        if stored.dtype.kind not in KINDS or len(stored.shape) > 2:
             continue
-        if array.size == 1 and array.dtype.kind in "fiub":
-            scalars[name] = float(array.reshape(()))
-            continue
-        if array.ndim == 0:
-            continue
-        unit = (units or {}).get(name, "")
-        if array.ndim == 2 and min(array.shape) > 1:
-            tall = array if array.shape[0] >= array.shape[1] else array.T
-            for k in range(tall.shape[1]):
-                columns[f"{name}[{k}]"] = tall[:, k]
-                known[f"{name}[{k}]"] = unit
-        else:
-            columns[name] = array.reshape(-1)
-            known[name] = unit
-    values = list(columns.values())
-    return Table(source, tuple(columns), lambda position: values[position], units=known, scalars=scalars)
+        if prod(stored.shape) == 1 and stored.dtype.kind in "fiub":
+            if name == "sampling_time":
+                scalars[name] = float(stored.read().reshape(()))
+        elif len(stored.shape) == 2 and min(stored.shape) > 1:
+            for k in range(min(*stored.shape, MOST_COLUMNS + 1)):
+                columns[f"{name}[{k}]"] = name, k
+                units[f"{name}[{k}]"] = stored.unit
+        elif stored.shape:
+            columns[name] = name, None
+            units[name] = stored.unit
+        if len(columns) > MOST_COLUMNS:
+            raise Refused(f"{source} has more than {MOST_COLUMNS} columns; keep the channels of the record alone.")
+    places = list(columns.values())
 
+    @functools.cache
+    def array(name: str) -> np.ndarray:
+        values = arrays[name].read()
+        return values if values.ndim < 2 or values.shape[0] >= values.shape[1] else values.T
 
-def _members(found: Mapping, prefix: str = "") -> Iterator[tuple[str, object]]:
-    for name, value in found.items():
-        if isinstance(value, dict):
-            yield from _members(value, f"{prefix}{name}.")
-        else:
-            yield prefix + name, value
+    def column(position: int) -> np.ndarray:
+        name, k = places[position]
+        return array(name).reshape(-1) if k is None else array(name)[:, k]
 
-
-def one_line(error: Exception) -> str:
-    """What an error of a library says, in a line."""
-    return str(error).strip().partition("\n")[0][:120] or type(error).__name__
+    return Table(source, tuple(columns), column, units=units, scalars=scalars)

@@ -13,8 +13,9 @@ MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 
 _COMMA = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
 
-# A word with its unit, so that `force [N m]` stays together between blanks.
-_WORD = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
+# A word with its unit, so that `force [N m]` stays together between blanks. Bounded, as every bracket that stays open
+# would be sought to the end of the line.
+_WORD = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:\s*(?:\[[^\]]{0,100}\]|\([^)]{0,100}\)))?")
 
 
 def read_delimited(path: Path, *, delimiter: str | None = None, decimal: str | None = None) -> Table:
@@ -38,19 +39,20 @@ def read_delimited(path: Path, *, delimiter: str | None = None, decimal: str | N
         raise ValueError(f"delimiter is {delimiter!r}; give one character, ' ' for any blanks.")
     lines, numbers, comment = _lines(path)
     if lines[0].lower().startswith("sep=") and len(lines) > 1:
-        delimiter = delimiter or lines[0][4:5]
+        delimiter = delimiter or lines[0][4:5] or None
         lines, numbers = lines[1:], numbers[1:]
     if delimiter is None:
         delimiter = _sniff(lines[:50])
     try:
         rows = _cells(lines, delimiter)
-    except csv.Error as error:
+        named = [cell.strip() for cell in _cells([comment], delimiter)[0]] if comment else []
+    except (csv.Error, TypeError, ValueError) as error:
         raise ValueError(f"{path.name} is no delimited text ({error}); say delimiter.") from None
-    headers = [cell.strip().strip('"') for cell in rows[0]]
+    headers = [cell.strip() for cell in rows[0]]
 
     if all(_is_number(cell) or cell.lower() in MISSING for cell in headers):
         # `numpy.savetxt` writes the names as a comment.
-        headers = [cell.strip() for cell in _cells([comment], delimiter)[0]] if comment else []
+        headers = named
         if len(headers) != len(rows[0]):
             raise ValueError(
                 f"{path.name} starts with numbers ({lines[0].strip()[:40]}); add a header row with the column names."
@@ -86,7 +88,10 @@ def _lines(path: Path) -> tuple[list[str], list[int], str]:
     if b"\0" in raw[:4096]:
         if raw[:2] not in (b"\xff\xfe", b"\xfe\xff"):
             raise ValueError(f"{path.name} is not text; give csv, or name the file by its format.")
-        text = raw.decode("utf-16")
+        try:
+            text = raw.decode("utf-16")
+        except UnicodeDecodeError:
+            raise ValueError(f"{path.name} is no whole UTF-16 text; write it anew, in UTF-8.") from None
     else:
         try:
             text = raw.decode("utf-8-sig")
@@ -123,7 +128,7 @@ def _sniff(lines: list[str]) -> str:
 
 def _cells(lines: list[str], delimiter: str) -> list[list[str]]:
     if delimiter.isspace() and delimiter != "\t":
-        return [_WORD.findall(lines[0]), *(line.split() for line in lines[1:])]
+        return [[word.strip('"') for word in _WORD.findall(lines[0])], *(line.split() for line in lines[1:])]
     return list(csv.reader(lines, delimiter=delimiter, skipinitialspace=True))
 
 
@@ -157,7 +162,7 @@ def _column_with_gaps(path, name, cells, rows, position, numbers) -> np.ndarray:
         except ValueError:
             hint = ", or say that the decimal is a comma" if _COMMA.match(cell) else ""
             raise ValueError(
-                f"column {name!r} of {path.name} holds the text {rows[k][position].strip()!r} at line "
+                f"column {name!r} of {path.name} holds the text {rows[k][position].strip()[:40]!r} at line "
                 f"{numbers[k]}; give numbers, and leave missing cells empty{hint}."
             ) from None
     return values

@@ -10,9 +10,12 @@ import numpy as np
 
 from jaxgray.records.channels import as_seconds
 from jaxgray.records.clock import Clock, read_clock, seconds_per
-from jaxgray.records.containers import read_hdf5, read_mat, read_npy, read_npz, read_parquet
+from jaxgray.records.containers import read_npy, read_npz
 from jaxgray.records.delimited import read_delimited
+from jaxgray.records.hdf5 import read_hdf5, read_mat
+from jaxgray.records.limits import check_file
 from jaxgray.records.memory import TIME_NAMES, table_in_memory
+from jaxgray.records.parquet import read_parquet
 from jaxgray.records.record import Record
 from jaxgray.records.stamped import error_if_uniform, held, joined
 from jaxgray.records.table import Table
@@ -167,9 +170,7 @@ def _open(path, delimiter: str | None, decimal: str | None) -> Table:
             )
         return table
     path = Path(path)
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise ValueError(f"path: {path} {what}; give the path of a file.")
+    check_file(path)
     if path.stat().st_size == 0:
         raise ValueError(f"path: {path} is empty; give a file with a header row and at least 2 rows of numbers.")
     suffix = path.suffix.lower()

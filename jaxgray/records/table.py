@@ -1,6 +1,7 @@
 """Named columns of numbers, as every reader hands them over."""
 
 import difflib
+import functools
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,10 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgray.records.channels import LARGEST_VALUE
+from jaxgray.records.limits import LONGEST_NAME
 
-# `force [N]`, `force (N)`; a whole number in brackets counts, `u[0]`, and is no unit.
-_UNIT = re.compile(r"^(?P<name>.*?\S)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$")
 _SHOWN = 20
+
+_COMPARED = 1000
+"""Names among which a near one is sought."""
 
 
 def split_unit(header: str) -> tuple[str, str]:
@@ -25,13 +28,13 @@ def split_unit(header: str) -> tuple[str, str]:
     **Returns:** name and unit, the latter empty where there is none.
     """
     header = header.strip()
-    match = _UNIT.match(header)
-    if match is None:
-        return header, ""
-    unit = (match["square"] if match["square"] is not None else match["round"]).strip()
-    if unit.isdecimal():
-        return header, ""
-    return match["name"].strip(), unit
+    for opening, closing in ("[]", "()"):
+        name, bracket, rest = header.rpartition(opening)
+        unit = rest[:-1].strip()
+        # A whole number in brackets counts, `u[0]`, and is no unit.
+        if bracket and name.strip() and rest.endswith(closing) and rest.count(closing) == 1 and not unit.isdecimal():
+            return name.strip(), unit
+    return header, ""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     scalars: Mapping[str, float] = field(default_factory=dict)
 
-    @property
+    @functools.cached_property
     def names(self) -> tuple[str, ...]:
         """The headers without their units."""
         return tuple(split_unit(header)[0] for header in self.headers)
@@ -78,7 +81,7 @@ class Table:
         raise ValueError(f"{argument}: {self.source} has no column {wanted!r}{self._nearest(wanted)}")
 
     def _nearest(self, wanted: str) -> str:
-        names = list(dict.fromkeys(name for name in self.names if name))
+        names = list(dict.fromkeys(name[:LONGEST_NAME] for name in self.names[:_COMPARED] if name))
         members = [name for name in names if re.fullmatch(re.escape(wanted) + r"\[\d+\]", name)]
         if members:
             return f"; it has several columns, say {', '.join(members[:_SHOWN])}."
@@ -96,16 +99,24 @@ class Table:
     def numbers(self, position: int) -> Float[np.ndarray, " samples"]:
         """The column at a position, checked to be one-dimensional numbers."""
         values = np.asarray(self.column(position))
-        name = self.names[position]
-        if values.dtype.kind == "M":
-            values = (values - values[0]) / np.timedelta64(1, "s")
-        elif values.dtype.kind == "m":
-            values = values / np.timedelta64(1, "s")
+        name = self.names[position][:LONGEST_NAME]
+        if values.dtype.kind in "mM":
+            try:
+                since = values - values[:1] if values.dtype.kind == "M" else values
+                values = since / np.timedelta64(1, "s")
+            except TypeError:
+                raise ValueError(
+                    f"column {name!r} of {self.source} holds {values.dtype}, which are no seconds; give times in s."
+                ) from None
         if values.dtype.kind == "O" or values.dtype.kind in "US":
             values = _from_objects(self, name, values)
         if values.dtype.kind not in "fiub":
             raise ValueError(f"column {name!r} of {self.source} holds {values.dtype}; give real numbers.")
-        values = values.astype(np.float64)
+        # What is out of range becomes infinite, which is refused below; damaged bytes may be no number at all.
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = values.astype(np.float64)
+        # One NaN for all: arithmetic warns of some that damaged bytes make.
+        values[np.isnan(values)] = np.nan
         infinite = np.flatnonzero(np.isinf(values))
         if infinite.size:
             raise ValueError(
@@ -125,8 +136,8 @@ def _from_objects(table: Table, name: str, values: np.ndarray) -> np.ndarray:
     for k, value in enumerate(values):
         try:
             result[k] = np.nan if value is None else float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(
-                f"column {name!r} of {table.source} holds the text {str(value)!r} at {table.row(k)}; give numbers."
+                f"column {name!r} of {table.source} holds the text {str(value)[:40]!r} at {table.row(k)}; give numbers."
             ) from None
     return result

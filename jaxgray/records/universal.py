@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgray.records.containers import one_line
+from jaxgray.records.limits import reading
 from jaxgray.records.table import Table
 
 FUNCTION = 58
@@ -38,31 +38,38 @@ def read_universal(path: Path) -> Table:
     except ImportError:
         raise ImportError(f"{path.name} needs pyuff: pip install 'jaxgray[uff]'.") from None
 
-    try:
+    with reading(path, "universal file"):
         file = pyuff.UFF(os.fspath(path))
         functions = [k for k, kind in enumerate(file.get_set_types()) if kind == FUNCTION]
         headers = [file.read_sets(k, header_only=True) for k in functions]
-        signals = [file.read_sets(k) for k, header in zip(functions, headers) if _over_time(header)]
-    except Exception as error:  # A damaged file fails in as many ways as the library has steps.
-        raise ValueError(f"{path.name} is no universal file ({one_line(error)}).") from None
+        signals = [_signal(file.read_sets(k)) for k, header in zip(functions, headers) if _over_time(header)]
     if not signals:
         raise ValueError(
             f"{path.name} is no universal file with time signals (datasets of type 58, function 1); it has "
             f"{len(functions)} other functions."
         )
-    columns = [np.asarray(signal["data"])[: int(signal["num_pts"])] for signal in signals]
+    columns = [signal["data"][: signal["num_pts"]] for signal in signals]
     names = _names(signals)
     for name, signal, column in zip(names, signals, columns):
-        if len(column) < int(signal["num_pts"]):
+        if len(column) < signal["num_pts"]:
             raise ValueError(f"{path.name} is damaged: {name!r} has {len(column)} of {signal['num_pts']} values.")
     units = {name: _label(signal["ordinate_axis_units_lab"]) for name, signal in zip(names, signals)}
-    time = np.asarray(signals[0]["x"])[: len(columns[0])]
+    time = signals[0]["x"][: len(columns[0])]
     for name, signal, column in zip(names, signals, columns):
-        if not np.array_equal(np.asarray(signal["x"])[: len(column)], time):
+        if not np.array_equal(signal["x"][: len(column)], time):
             raise ValueError(f"{path.name}: {names[0]!r} and {name!r} have different time axes; split the file.")
     unit = _label(signals[0]["abscissa_axis_units_lab"])
     columns.append(time)
     return Table(path.name, (*names, "time"), lambda k: columns[k], units=units | {"time": unit})
+
+
+def _signal(found: dict) -> dict:
+    """What is used of a data set, in the types that it should have; any error says that the file is damaged."""
+    whole = {name: int(found[name]) for name in ("num_pts", "rsp_dir", "rsp_node", "ordinate_spec_data_type")}
+    texts = {name: str(found[name]) for name in ("ordinate_axis_units_lab", "abscissa_axis_units_lab")}
+    if whole["num_pts"] < 0:
+        raise ValueError(f"a signal has {whole['num_pts']} values")
+    return whole | texts | {name: np.asarray(found[name], dtype=float) for name in ("data", "x")}
 
 
 def _over_time(header: dict) -> bool:
@@ -74,7 +81,7 @@ def _over_time(header: dict) -> bool:
 def _names(signals: list[dict]) -> list[str]:
     names, seen = [], Counter()
     for signal in signals:
-        direction = int(signal["rsp_dir"])
+        direction = signal["rsp_dir"]
         axis = DIRECTIONS[abs(direction)] if abs(direction) < len(DIRECTIONS) else str(abs(direction))
         sign = "" if direction == 0 else "-" if direction < 0 else "+"
         name = f"{KINDS.get(signal['ordinate_spec_data_type'], 'channel')} {signal['rsp_node']}{sign}{axis}"
@@ -83,6 +90,6 @@ def _names(signals: list[dict]) -> list[str]:
     return names
 
 
-def _label(text) -> str:
-    text = str(text).strip()
+def _label(text: str) -> str:
+    text = text.strip()
     return "" if text.upper() == "NONE" else text

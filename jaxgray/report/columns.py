@@ -11,8 +11,14 @@ def columns_text(columns: dict[str, np.ndarray]) -> str:
     **Arguments:** `columns`: by header.
     """
     cells = [["" if np.isnan(v) else repr(v) for v in column.tolist()] for column in columns.values()]
-    headers = ",".join(f'"{name}"' if "," in name else name for name in columns)
+    headers = ",".join(_quoted(" ".join(name.split())) for name in columns)
     return "\n".join([headers, *(",".join(row) for row in zip(*cells))]) + "\n"
+
+
+def _quoted(name: str) -> str:
+    """A header that is one cell, and the first no comment."""
+    quoted = any(letter in name for letter in ',"') or name.startswith(("#", "%"))
+    return '"' + name.replace('"', '""') + '"' if quoted else name
 
 
 def header(name: str, unit: str) -> str:

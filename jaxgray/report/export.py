@@ -4,8 +4,8 @@ import io
 import json
 import math
 import os
-import uuid
-import zipfile
+import reprlib
+import sys
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -13,6 +13,9 @@ import numpy as np
 
 from ..mechanics.drives import BaseAcceleration, BaseDisplacement, Force
 from ..mechanics.model import MechanicalModel
+from ..numerics.whole_files import write_whole
+from ..records.containers import KINDS, npz_members
+from ..records.limits import check_file, reading
 from .terms import term_document, term_of
 
 SCHEMA = "jaxgray/model/1"
@@ -20,6 +23,9 @@ SCHEMA = "jaxgray/model/1"
 MATRICES = ("mass", "damping", "stiffness")
 TEXTS = ("measured", "input_names", "output_names", "input_units", "output_units")
 BASES = {"displacement": BaseDisplacement, "acceleration": BaseAcceleration}
+
+LONGEST = 1000
+"""Letters of a message about a file, which may hold texts of any length."""
 
 SYMMETRY = 1e-8
 """Largest difference across the diagonal, relative to the largest entry, that counts as rounding."""
@@ -94,13 +100,17 @@ def load(path) -> MechanicalModel:
     **Raises:** `ValueError` when the file is missing or unreadable, or a key or matrix is missing or wrong.
     """
     path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"{path}: there is no such file; give the path of a model file.")
-    document = _read_npz(path) if _kind(path) == ".npz" else _model_part(_read_json(path), path)
+    check_file(path, "model")
+    document = _document(path)
     try:
         return _model(document)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+    except (ValueError, OverflowError) as error:
+        text = str(error)
+        raise ValueError(f"{path}: {text if len(text) <= LONGEST else text[:LONGEST] + ' …'}") from None
+
+
+def _document(path: Path) -> dict:
+    return _read_npz(path) if _kind(path) == ".npz" else _model_part(read_json(path), path)
 
 
 def given(path) -> dict[str, int]:
@@ -108,9 +118,9 @@ def given(path) -> dict[str, int]:
 
     **Arguments:** `path`: of a file that `load` reads.
     """
-    path = Path(path)
-    document = _read_npz(path) if _kind(path) == ".npz" else _model_part(_read_json(path), path)
-    return {key: len(document.get(key) or ()) for key in ("input_map", "base", "effects", *TEXTS)}
+    document = _document(Path(path))
+    entries = {key: document.get(key) for key in ("input_map", "base", "effects", *TEXTS)}
+    return {key: len(entry) if isinstance(entry, dict | list | str) else 0 for key, entry in entries.items()}
 
 
 def write_json(obj, path) -> None:
@@ -121,8 +131,12 @@ def write_json(obj, path) -> None:
 
     **Raises:** `ValueError` for something that JSON has no word for.
     """
-    text = json.dumps(plain(obj), allow_nan=False, ensure_ascii=False, indent=1)
-    write_whole((text + "\n").encode(), path)
+    write_whole(json_text(obj).encode(), path)
+
+
+def json_text(obj) -> str:
+    """What `write_json` writes, as text."""
+    return json.dumps(plain(obj), allow_nan=False, ensure_ascii=False, indent=1) + "\n"
 
 
 def plain(obj, place: str = ""):
@@ -151,19 +165,6 @@ def plain(obj, place: str = ""):
     raise ValueError(f"{place.lstrip('.') or 'obj'} is a {type(obj).__name__}; give numbers, texts, lists, arrays.")
 
 
-def write_whole(content: bytes, path) -> None:
-    """Through a file beside it, so that a reader never sees half of it."""
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise ValueError(f"{path}: the folder {path.parent} is not there; create it first.")
-    beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        beside.write_bytes(content)
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
 def _kind(path) -> str:
     kind = Path(path).suffix.lower()
     if kind not in (".json", ".npz"):
@@ -171,11 +172,15 @@ def _kind(path) -> str:
     return kind
 
 
-def _read_json(path: Path):
+def read_json(path: Path):
+    """What a JSON file holds.
+
+    **Raises:** `ValueError` where it is none.
+    """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: this is not JSON ({error}).") from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: this is not JSON that can be read ({error}).") from None
 
 
 def _model_part(document, path: Path) -> dict:
@@ -196,15 +201,25 @@ _KEYS = "'mass', 'damping' and 'stiffness'"
 
 
 def _read_npz(path: Path) -> dict:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            document = {key: file[key].tolist() for key in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: this is not an NPZ file of arrays ({error}).") from None
+    with reading(path, "NPZ file of arrays"):
+        document = {key: _plain_array(stored.read()) for key, stored in npz_members(path, KINDS + "U").items()}
     base = {key: document.pop(f"base_{key}") for key in ("kind", "direction", "relative") if f"base_{key}" in document}
     if isinstance(document.get("effects"), str):
-        document["effects"] = json.loads(document["effects"])
+        try:
+            document["effects"] = json.loads(document["effects"])
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{path}: its effects are not JSON that can be read ({error}).") from None
     return document | ({"base": base} if base else {})
+
+
+def _plain_array(values: np.ndarray):
+    """Numbers, or texts once it is known that they are some: NumPy hands out damaged bytes as texts that Python fails
+    on later."""
+    if values.dtype.kind == "U":
+        letters = np.frombuffer(values.tobytes(), np.dtype("u4").newbyteorder(values.dtype.byteorder))
+        if letters.size and letters.max() > sys.maxunicode:
+            raise ValueError("a text in it is damaged")
+    return values.tolist()
 
 
 def _model(document: dict) -> MechanicalModel:
@@ -222,32 +237,39 @@ def _model(document: dict) -> MechanicalModel:
         drive = Force(jnp.asarray(_matrix("input_map", document["input_map"])))
     texts = {name: document[name] for name in (*TEXTS, "hidden") if document.get(name) is not None}
     if isinstance(texts.get("hidden"), int):
-        raise ValueError(f"hidden is {texts['hidden']!r}; give a list of texts.")
+        raise ValueError(f"hidden is {_shown(texts['hidden'])}; give a list of texts.")
     for name, value in texts.items():
         words = isinstance(value, list) and all(isinstance(word, str) for word in value)
         if not words and not (name == "measured" and isinstance(value, str)):
-            raise ValueError(f"{name} is {value!r}; give a list of texts.")
+            raise ValueError(f"{name} is {_shown(value)}; give a list of texts.")
     model = MechanicalModel(M, D, K, drive=drive, **texts)
     effects = document.get("effects") or []
     if not isinstance(effects, list):
-        raise ValueError(f"effects is {effects!r}; give a list.")
+        raise ValueError(f"effects is {_shown(effects)}; give a list.")
     terms = tuple(term_of(one, model.input_names, model.output_names, model.hidden) for one in effects)
     return MechanicalModel(M, D, K, drive=drive, effects=terms, **texts) if terms else model
 
 
 def _base(base):
-    if not isinstance(base, dict) or base.get("kind") not in BASES or base.get("direction") is None:
+    kind = base.get("kind") if isinstance(base, dict) else None
+    if not isinstance(kind, str) or kind not in BASES or base.get("direction") is None:
         raise ValueError(
-            f"base is {base!r}; give an object with 'kind' (displacement or acceleration), 'direction' and 'relative'."
+            f"base is {_shown(base)}; give an object with 'kind' (displacement or acceleration), 'direction' and "
+            "'relative'."
         )
     direction = jnp.asarray(_matrix("base direction", base["direction"]))
-    return BASES[base["kind"]](direction, bool(base.get("relative", False)))
+    return BASES[kind](direction, bool(base.get("relative", False)))
+
+
+def _shown(value) -> str:
+    """A value of a file in a message: cut, however long or deep it is."""
+    return reprlib.repr(value)
 
 
 def _matrix(name: str, value) -> np.ndarray:
     try:
         X = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} is not a matrix of numbers; give a list of rows of equal length.") from None
     if X.ndim != 2 or X.size == 0:
         raise ValueError(f"{name} has shape {X.shape}; give a list of rows.")

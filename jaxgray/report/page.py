@@ -11,8 +11,9 @@ from markupsafe import Markup
 
 from ..diagnosis.result import Diagnosis
 from ..identification import Identification
+from ..numerics.whole_files import write_whole
 from .diagnosis_summary import diagnosis_document
-from .export import plain, write_whole
+from .export import plain
 from .page_diagnosis import diagnosis_page
 from .page_identification import identification_page
 from .page_parts import Page, Plot

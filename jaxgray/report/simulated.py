@@ -1,9 +1,10 @@
 """What a model makes of a record, as a file."""
 
 from ..mechanics.fitted_run import fitted_run
+from ..numerics.whole_files import write_whole
 from ..records import Record
 from .columns import columns_text, simulation_columns
-from .export import model_of, write_whole
+from .export import model_of
 
 
 def write_simulation(result_or_model, record: Record, path) -> None:

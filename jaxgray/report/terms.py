@@ -1,5 +1,8 @@
 """Effects of a model in files: id, place, and parameters by symbol; those of one symbol make a list."""
 
+import math
+import reprlib
+
 import numpy as np
 
 from ..mechanics.effects import by_id
@@ -23,26 +26,42 @@ def term_of(document, input_names, output_names, hidden=()) -> Term:
     **Raises:** `ValueError` for an effect, a place or parameters that are not known.
     """
     if not isinstance(document, dict) or not {"effect", "location", "parameters"} <= set(document):
-        raise ValueError(f"effects: {document!r} is no effect; give an object with effect, location and parameters.")
-    effect = by_id(document["effect"])
-    places = {place.name: place for place in places_of(effect, input_names, output_names, hidden)}
-    if document["location"] not in places:
         raise ValueError(
-            f"effects: {effect.id} cannot act at {document['location']!r}; give one of {', '.join(places) or 'none'}."
+            f"effects: {reprlib.repr(document)} is no effect; give an object with effect, location and parameters."
         )
-    given = {k: list(v) if isinstance(v, list) else [v] for k, v in dict(document["parameters"]).items()}
+    id, location, parameters = document["effect"], document["location"], document["parameters"]
+    if not (isinstance(id, str) and isinstance(location, str) and isinstance(parameters, dict)):
+        raise ValueError(
+            f"effects: effect, location and parameters are {reprlib.repr([id, location, parameters])}; give two texts "
+            "and an object."
+        )
+    effect = by_id(id)
+    places = {place.name: place for place in places_of(effect, input_names, output_names, hidden)}
+    if location not in places:
+        raise ValueError(
+            f"effects: {effect.id} cannot act at {reprlib.repr(location)}; give one of {', '.join(places) or 'none'}."
+        )
+    given = {name: list(value) if isinstance(value, list) else [value] for name, value in parameters.items()}
     values = []
     for parameter in effect.parameters:
         rest = given.get(parameter.name)
         if not rest:
-            raise ValueError(f"effects: {effect.id} at {document['location']} lacks the parameter {parameter.name}.")
+            raise ValueError(f"effects: {effect.id} at {location} lacks the parameter {parameter.name}.")
         value = rest.pop(0)
+        shown = f"effects: {effect.id} has {parameter.name} = {reprlib.repr(value)}"
         if parameter.choices:
             if value not in parameter.choices:
-                choices = ", ".join(parameter.choices)
-                raise ValueError(f"effects: {effect.id} has {parameter.name} = {value!r}; give one of {choices}.")
+                raise ValueError(f"{shown}; give one of {', '.join(parameter.choices)}.")
             value = parameter.choices.index(value)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise ValueError(f"effects: {effect.id} has {parameter.name} = {value!r}; give a finite number.")
-        values.append(float(value))
-    return Term(effect, places[document["location"]], np.array(values))
+        values.append(_number(value, shown))
+    return Term(effect, places[location], np.array(values))
+
+
+def _number(value, shown: str) -> float:
+    try:
+        number = math.nan if isinstance(value, bool | str) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{shown}; give a finite number.")
+    return number

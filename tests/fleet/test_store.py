@@ -9,8 +9,9 @@ import sys
 import pytest
 
 from jaxgray.fleets import store as stores
-from jaxgray.fleets.store import PART, Store
+from jaxgray.fleets.store import Store
 from jaxgray.fleets.tasks import Options, batches, content_hash, key_of, listed
+from jaxgray.numerics.whole_files import PART
 
 
 @pytest.fixture

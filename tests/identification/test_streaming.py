@@ -63,6 +63,11 @@ def test_later_samples_need_not_the_first(table, whole, tmp_path):
     compress(path, inputs=names[:2], outputs=names[2:], **options).save(tmp_path / "kept.npz")
     path.unlink()
     kept = CompressedRecord.load(tmp_path / "kept.npz")
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "kept.npz").read_bytes()[:-200])
+    np.savez(tmp_path / "other.npz", u=np.ones(3))
+    for name in ("cut.npz", "other.npz"):
+        with pytest.raises(ValueError, match=f"{name} is no "):
+            CompressedRecord.load(tmp_path / name)
     longer = kept.extended([table[2500:]])
     assert longer.samples == SAMPLES
     assert data.relative_errors(matrices(longer.model()), whole).max() < 1e-7

@@ -43,6 +43,8 @@ class HiddenRequest:
         given = self.structure
         text = given if given is None or isinstance(given, str) else ", ".join(given)
         names = hidden_names(hidden)
+        if len({*outputs, *names}) < len(outputs + names):
+            raise ValueError(f"hidden={hidden!r} repeats a name; coordinates are {', '.join(outputs + names)}.")
         if text and not is_connections(text, outputs + names):
             raise ValueError(
                 f"structure={given!r} says nothing of hidden coordinates; say how they are connected, such as "

@@ -115,6 +115,6 @@ def by_id(id: str) -> AbstractEffect:
         return known[id]
     if id in RECORD_FINDINGS:
         raise ValueError(f"{id} is a finding on the record ({RECORD_FINDINGS[id]}), not an effect that is simulated.")
-    near = difflib.get_close_matches(str(id), known, n=1, cutoff=0.4)
+    near = difflib.get_close_matches(str(id)[:80], known, n=1, cutoff=0.4)
     hint = f"did you mean {near[0]}?" if near else f"give one of {', '.join(known)}."
-    raise ValueError(f"there is no effect {id!r}; {hint}")
+    raise ValueError(f"there is no effect {str(id)[:80]!r}; {hint}")

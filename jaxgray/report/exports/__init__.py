@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from ...mechanics.statespace import check_hold
+from ...numerics.whole_files import write_whole
 from ...records.channels import as_seconds
-from ..export import model_of, save, write_whole
+from ..export import model_of, save
 from .arrays import linear_part
 from .c_header import c_header
 from .matlab import mat_file

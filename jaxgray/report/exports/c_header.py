@@ -112,5 +112,6 @@ def _channels(names, units, measured=None) -> str:
 
 
 def _comment(text: str) -> str:
-    """Nothing that ends a comment, or a line."""
-    return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *").replace("\\", "/")
+    """Nothing that ends a comment, or a line; a backslash first, as the slash in its place could end one."""
+    text = " ".join(text.split()).replace("\\", "/")
+    return "".join(c if c.isprintable() else "?" for c in text).replace("*/", "* /").replace("/*", "/ *")

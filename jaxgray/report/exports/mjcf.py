@@ -5,7 +5,9 @@ armature), every s into a fixed tendon with the coefficients c. Where rows are d
 springs and dampers between two coordinates, c = (1, −1); elsewhere they are the eigenvectors.
 """
 
-from xml.sax.saxutils import escape, quoteattr
+import re
+from xml.sax.saxutils import escape
+from xml.sax.saxutils import quoteattr as quoted
 
 import numpy as np
 from jaxtyping import Float
@@ -184,5 +186,12 @@ def _number(value) -> str:
     return repr(float(value))
 
 
+def quoteattr(text: str) -> str:
+    """An attribute's value, in quotes; XML has no word for most control characters."""
+    return quoted("".join(c if c.isprintable() else "?" for c in text))
+
+
 def _remark(text: str) -> str:
-    return escape(" ".join(text.split())).replace("--", "- -")
+    """Text in a comment, which holds no two hyphens in a row."""
+    text = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    return re.sub("-(?=-)", "- ", escape(text))
