@@ -27,7 +27,7 @@ import zlib
 import numpy as np
 
 from jaxgray.records import RecordWarning, read_record
-from jaxgray.records.limits import Refused
+from jaxgray.records.readers.limits import Refused
 
 SLOW = 5.0
 """Seconds of processor time that no input may take."""

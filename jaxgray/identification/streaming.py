@@ -21,9 +21,9 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.runtime import give_back, ready
 from ..numerics.whole_files import write_whole
 from ..records import Record
-from ..records.chunks import CHUNK_SAMPLES, read_chunks
-from ..records.containers import KINDS, npz_members
-from ..records.limits import check_file, reading
+from ..records.readers.chunks import CHUNK_SAMPLES, read_chunks
+from ..records.readers.containers import KINDS, npz_members
+from ..records.readers.limits import check_file, reading
 from .initialization.physical_grid import physical_grid
 from .initialization.start import StartOptions, subspace_starts
 from .setup.options import drive_of

@@ -10,16 +10,16 @@ import numpy as np
 
 from jaxgray.records.channels import as_seconds
 from jaxgray.records.clock import Clock, read_clock, seconds_per
-from jaxgray.records.containers import read_npy, read_npz
-from jaxgray.records.delimited import read_delimited
-from jaxgray.records.hdf5 import read_hdf5, read_mat
-from jaxgray.records.limits import check_file
-from jaxgray.records.memory import TIME_NAMES, table_in_memory
-from jaxgray.records.parquet import read_parquet
+from jaxgray.records.readers.containers import read_npy, read_npz
+from jaxgray.records.readers.delimited import read_delimited
+from jaxgray.records.readers.hdf5 import read_hdf5, read_mat
+from jaxgray.records.readers.limits import check_file
+from jaxgray.records.readers.memory import TIME_NAMES, table_in_memory
+from jaxgray.records.readers.parquet import read_parquet
+from jaxgray.records.readers.table import Table
+from jaxgray.records.readers.universal import read_universal
 from jaxgray.records.record import Record
 from jaxgray.records.stamped import error_if_uniform, held, joined
-from jaxgray.records.table import Table
-from jaxgray.records.universal import read_universal
 
 # A new format is one reader and one row.
 READERS = {

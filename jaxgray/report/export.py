@@ -14,8 +14,8 @@ import numpy as np
 from ..mechanics.drives import BaseAcceleration, BaseDisplacement, Force
 from ..mechanics.model import MechanicalModel
 from ..numerics.whole_files import write_whole
-from ..records.containers import KINDS, npz_members
-from ..records.limits import check_file, reading
+from ..records.readers.containers import KINDS, npz_members
+from ..records.readers.limits import check_file, reading
 from .terms import term_document, term_of
 
 SCHEMA = "jaxgray/model/1"

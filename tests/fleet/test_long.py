@@ -8,7 +8,7 @@ from independent import REFERENCE, random_steps, simulate
 from jaxgray import MechanicalModel
 from jaxgray.fleets import compress_on_workers, refine_on_workers
 from jaxgray.fleets.long.source import Source
-from jaxgray.records.chunks import count_rows, read_rows
+from jaxgray.records.readers.chunks import count_rows, read_rows
 
 SAMPLES = 9000
 NAMES = [f"data[{k}]" for k in range(4)]

@@ -22,8 +22,8 @@ from pyarrow import parquet
 from scipy.io import savemat
 
 from jaxgray.records import RecordWarning, read_record
-from jaxgray.records.chunks import count_rows, read_chunks, read_rows
-from jaxgray.records.table import split_unit
+from jaxgray.records.readers.chunks import count_rows, read_chunks, read_rows
+from jaxgray.records.readers.table import split_unit
 
 CHANNELS = {"inputs": "u", "outputs": "y", "sampling_time": 0.1}
 SERIES = np.sin(np.arange(50.0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxgray.records import read_record
-from jaxgray.records.table import split_unit
+from jaxgray.records.readers.table import split_unit
 
 MEASURED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...records.chunks import count_rows, read_rows
+from ...records.readers.chunks import count_rows, read_rows
 
 
 @dataclass(frozen=True)

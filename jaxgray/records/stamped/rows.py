@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..clock import read_clock, seconds_per
-from ..memory import TIME_NAMES
-from ..table import Table
+from ..readers.memory import TIME_NAMES
+from ..readers.table import Table
 
 RESOLUTION = 0.51
 """Distance of times from a uniform clock, in units of their last digit, that rounding makes."""

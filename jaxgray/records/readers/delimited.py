@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgray.records.table import Table, split_unit
+from jaxgray.records.readers.table import Table, split_unit
 
 DELIMITERS = ("\t", ";", "|", ",")
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgray.records.limits import EXPANSION
+from jaxgray.records.readers.limits import EXPANSION
 
 VERSION_7_3 = 2
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxgray.records.containers import table_of_arrays
-from jaxgray.records.table import Table
+from jaxgray.records.readers.containers import table_of_arrays
+from jaxgray.records.readers.table import Table
 
 TIME_NAMES = ("t", "time")
 

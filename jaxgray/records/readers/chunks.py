@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxgray.records.containers import mapped
-from jaxgray.records.hdf5 import data_sets, hdf5_file, readable
-from jaxgray.records.limits import Refused, check_file, reading
-from jaxgray.records.parquet import parquet_file, parquet_numbers, row_groups
+from jaxgray.records.readers.containers import mapped
+from jaxgray.records.readers.hdf5 import data_sets, hdf5_file, readable
+from jaxgray.records.readers.limits import Refused, check_file, reading
+from jaxgray.records.readers.parquet import parquet_file, parquet_numbers, row_groups
 
 CHUNK_SAMPLES = 2**16
 PARQUET, HDF5 = "Parquet file", "HDF5 file"

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgray.records.channels import LARGEST_VALUE
-from jaxgray.records.limits import LONGEST_NAME
+from jaxgray.records.readers.limits import LONGEST_NAME
 
 _SHOWN = 20
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgray.records.containers import KINDS, Stored, table_of_arrays, table_of_stored
-from jaxgray.records.limits import Refused, check_size, reading
-from jaxgray.records.matlab import mat_arrays
-from jaxgray.records.table import Table
+from jaxgray.records.readers.containers import KINDS, Stored, table_of_arrays, table_of_stored
+from jaxgray.records.readers.limits import Refused, check_size, reading
+from jaxgray.records.readers.matlab import mat_arrays
+from jaxgray.records.readers.table import Table
 
 COMPRESSIONS = {1: "deflate", 4: "szip", 32000: "lzf"}
 OTHER_FILTERS = {2: "shuffle", 3: "fletcher32"}

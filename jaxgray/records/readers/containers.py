@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgray.records.limits import Refused, check_size, reading
-from jaxgray.records.table import Table
+from jaxgray.records.readers.limits import Refused, check_size, reading
+from jaxgray.records.readers.table import Table
 
 KINDS = "fiubmM"
 """Kinds of numbers, dates among them."""

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgray.records.limits import reading
-from jaxgray.records.table import Table
+from jaxgray.records.readers.limits import reading
+from jaxgray.records.readers.table import Table
 
 FUNCTION = 58
 TIME_RESPONSE = 1

@@ -1,0 +1,1 @@
+"""From files and tables in memory to named columns of numbers, one format a module."""
