@@ -58,7 +58,7 @@ def diagnose(
         progress.stage("starting")
         from .environment import prepare
 
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         only, exclude = ids("--only", diagnosing.only), ids("--exclude", diagnosing.exclude)
         model = None
         if diagnosing.model is not None:
@@ -209,7 +209,7 @@ def demo(demonstrating: Demonstrating, talk: Talk) -> None:
         progress.stage("starting")
         from .environment import prepare
 
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         from .. import demonstration
         from ..report import export
         from ..report.columns import columns_text, record_columns
