@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 ROUNDING = 1e-9
-"""Negative eigenvalue, relative to the largest, and asymmetry, relative to the entry, that are rounding."""
+"""What rounding leaves of computed matrices, relative to the largest entry."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,14 @@ def violations(
     mass: Float[np.ndarray, "dofs dofs"],
     damping: Float[np.ndarray, "dofs dofs"],
     stiffness: Float[np.ndarray, "dofs dofs"],
+    *,
+    rounding: float = ROUNDING,
 ) -> tuple[Violation, ...]:
-    """What M, D, K have that a passive, reciprocal structure cannot have; nothing for one."""
+    """What M, D, K have that a passive, reciprocal structure cannot have; nothing for one.
+
+    **Arguments:** `mass`, `damping`, `stiffness`; `rounding`: negative eigenvalue relative to the largest entry, and
+    difference of two entries likewise, that do not count.
+    """
     given = {"mass": mass, "damping": damping, "stiffness": stiffness}
     matrices = {name: np.asarray(X, dtype=float) for name, X in given.items()}
     # Coordinates may have different units: each in that of its own mass.
@@ -42,10 +48,10 @@ def violations(
         X = X / np.outer(scale, scale)
         largest = np.max(np.abs(X))
         values, vectors = np.linalg.eigh((X + X.T) / 2)
-        if values[0] < -ROUNDING * largest or (name == "mass" and values[0] <= 0):
+        if values[0] < -rounding * largest or (name == "mass" and values[0] <= 0):
             found.append(Violation(name, "negative", float(values[0]), (int(np.argmax(np.abs(vectors[:, 0]))),)))
         difference = np.abs(X - X.T)
-        if np.max(difference) > ROUNDING * largest:
+        if np.max(difference) > rounding * largest:
             i, j = sorted(map(int, np.unravel_index(np.argmax(difference), X.shape)))
             found.append(Violation(name, "asymmetric", float(given[name][i, j] - given[name][j, i]), (i, j)))
     return tuple(found)

@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+import jaxgray
 from jaxgray import BaseDisplacement, MechanicalModel, Record
 from jaxgray.diagnosis.conclusions.physics import energy_of, unphysical
+from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.mechanics.effects.base import Place, Term
 from jaxgray.mechanics.effects.coupling import DampingError
 from jaxgray.mechanics.effects.friction import CoulombFriction, QuadraticDrag
@@ -73,3 +75,22 @@ def test_a_gap_in_the_balance_is_told():
 )
 def test_where_there_is_nothing_to_balance_there_is_none(without):
     assert energy_of(without, record(), REST) is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"damping": D - np.diag([0.0, 0.6])}, "model: damping is negative where mostly y2 moves"),
+        ({"stiffness": K - np.diag([70.0, 0.0])}, "model: stiffness is negative where mostly y1 moves"),
+        ({"damping": D + [[0, 1], [-1, 0]]}, r"damping\[0,1\] and damping\[1,0\] differ by 2; .* gyroscopic_coupling"),
+        ({"stiffness": K + [[0, 1], [-1, 0]]}, "circulatory_coupling among its effects"),
+    ],
+)
+def test_a_model_that_could_not_be_judged_as_it_is_is_refused(changed, told):
+    with pytest.raises(ValueError, match=told):
+        jaxgray.diagnose(record(), model=model(**changed))
+
+
+def test_digits_that_were_left_out_are_no_fault_of_a_model():
+    written = model(stiffness=np.array([[33.333, -66.667], [-66.667, 133.333]]))
+    assert baseline_of([record()], None, written).own
