@@ -26,8 +26,13 @@ def prepare(*, verbose: bool = False, quiet: bool = False) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    from ..numerics.stored_programs import programs_folder
+
     try:
         keep_compiled(user_cache("xla"))
+        if jax.config.jax_compilation_cache_dir is not None:
+            # One of the user's choice serves jax as it is, and programs where nobody else can change it.
+            programs_folder(jax.config.jax_compilation_cache_dir)
     except NotPrivate as refused:
         if not quiet:
             print(f"warning: {refused}: what is compiled is not kept.", file=sys.stderr)

@@ -95,13 +95,16 @@ def read_kept(path: Path) -> bytes | None:
     try:
         # Not to wait for a pipe that lies there.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        with open(handle, "rb") as file:
+        try:
             found = os.fstat(handle)
             if not stat.S_ISREG(found.st_mode):
                 return None
             if hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & OTHERS_WRITE):
                 return None
-            whole = file.read()
+            with open(handle, "rb", closefd=False) as file:
+                whole = file.read()
+        finally:
+            os.close(handle)
     except OSError:
         return None
     content = whole[len(MAGIC) + hashlib.sha256().digest_size :]

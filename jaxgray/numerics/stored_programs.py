@@ -116,16 +116,28 @@ def _folder() -> pathlib.Path | None:
     return _below(config.jax_compilation_cache_dir)
 
 
-@functools.cache
-def _below(cache: str) -> pathlib.Path | None:
-    """The folder of programs, made if need be; None, with one warning where it is not the user's alone."""
+def programs_folder(cache: str) -> pathlib.Path | None:
+    """The folder of programs below that of jax's cache, made if need be; None where it cannot be written, or is not on
+    this machine.
+
+    **Raises:** `NotPrivate` where others can change it.
+    """
+    if "://" in cache:
+        return None
     try:
         return private_folder(pathlib.Path(cache).absolute() / FOLDER)
+    except OSError:
+        return None
+
+
+@functools.cache
+def _below(cache: str) -> pathlib.Path | None:
+    """The same; None, with one warning, where others can change it."""
+    try:
+        return programs_folder(cache)
     except NotPrivate as refused:
         warnings.warn(f"{refused}: compiled programs are not kept there, nor taken from there.", stacklevel=2)
-    except OSError:
-        pass
-    return None
+        return None
 
 
 def keeps_programs() -> bool:

@@ -10,6 +10,7 @@ import pytest
 
 from jaxgray.cli import environment
 from jaxgray.numerics.kept_files import NotPrivate
+from jaxgray.numerics.stored_programs import FOLDER
 
 
 class Library:
@@ -84,12 +85,12 @@ print(float(jax.jit(lambda x: jax.numpy.sin(x) / 3)(2.0)), len(hits))
 """
 
 
-def process(home):
+def process(home, **more):
     """What a new process computes, how much it has from the cache, and what it says on the error stream."""
     settings = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "XDG_"))}
     ran = subprocess.run(
         [sys.executable, "-c", PROGRAM],
-        env=settings | {"HOME": str(home)},
+        env=settings | {"HOME": str(home)} | more,
         capture_output=True,
         text=True,
         timeout=120,
@@ -118,3 +119,12 @@ def test_a_folder_of_others_costs_one_warning_and_nothing_else(tmp_path):
     assert again == value and hits == 0
     assert said.startswith("warning: others may write to") and said.count("\n") == 1
     assert process(pathlib.Path("/proc/nothing")) == (value, 0, "")
+
+
+def test_a_folder_of_the_users_choice_is_no_exception_for_programs(tmp_path):
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o777)
+    _, _, said = process(tmp_path / "home", JAX_COMPILATION_CACHE_DIR=str(shared))
+    assert said.startswith(f"warning: others may write to {shared}") and said.count("\n") == 1
+    assert not (shared / FOLDER).exists()

@@ -154,3 +154,11 @@ def test_traced_arguments_go_through(folder):
     slope = jax.grad(lambda k: jnp.sum(StoredProgram(spring)(HERE, (jnp.asarray(M), k * K), power=1)["values"]))(1.0)
     assert slope == pytest.approx(np.trace(np.linalg.solve(M, K)))
     assert not list(folder.iterdir())
+
+
+def test_a_cache_that_is_not_on_this_machine_gets_no_folder_here(tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    assert stored_programs.programs_folder("gs://bucket/cache") is None
+    assert not list(here.iterdir())
