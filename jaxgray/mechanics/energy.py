@@ -40,6 +40,9 @@ TURNED = 0.1
 MOST_STEPS = 64
 """Steps per sample at most."""
 
+MOST_ROWS = 1_000_000
+"""Steps at most: of a longer record the first part is followed, in some 100 MB."""
+
 CREATED = 0.02
 """Share of what a law moves back and forth that it must give, net, to be said to create energy."""
 
@@ -116,7 +119,8 @@ def energy_balance(model: MechanicalModel, record: Record, *, x0=None) -> Energy
     **Arguments:** `model`; `record`, of which inputs, sampling time, hold and scheduling are taken; `x0`:
     displacements, then velocities of the coordinates at the first sample; default at rest.
 
-    **Returns:** an `EnergyBalance`.
+    **Returns:** an `EnergyBalance`; of the first part of a record that takes more than a million steps, two a sample
+    and more where the fastest mode has few samples in a period.
 
     **Raises:** `ValueError` where the input is a measured base displacement, whose work takes the force on the base,
     or where the arguments do not fit; `ComputationError` where the motion grows without bound.
@@ -128,8 +132,9 @@ def energy_balance(model: MechanicalModel, record: Record, *, x0=None) -> Energy
     state = np.zeros(2 * model.dofs) if x0 is None else np.ravel(np.asarray(x0, dtype=float))
     if state.shape != (2 * model.dofs,) or not np.isfinite(state).all():
         raise ValueError(f"x0 is {x0}; give {2 * model.dofs} finite numbers: displacements, then velocities.")
-    p = np.zeros(record.samples) if record.scheduling is None else record.scheduling
     h, steps = record.sampling_time, steps_per_sample(model, record.sampling_time)
+    record = record[: max(MOST_ROWS // steps, 3)]
+    p = np.zeros(record.samples) if record.scheduling is None else record.scheduling
     found = _followed(model, state, record.u, np.asarray(h), p, record.hold, steps)
     matrices, motion, forces, slots = (tuple(np.asarray(X) for X in part) for part in found)
     if not bounded(*motion):

@@ -5,6 +5,7 @@ import pytest
 import scipy.integrate
 
 from jaxgray import BaseAcceleration, BaseDisplacement, ComputationError, MechanicalModel, Record, energy_balance
+from jaxgray.mechanics import energy
 from jaxgray.mechanics.effects.base import AbstractForceEffect, Parameter, Place, Term
 from jaxgray.mechanics.effects.coupling import CirculatoryCoupling, GyroscopicCoupling
 from jaxgray.mechanics.effects.disturbance import PeriodicDisturbance
@@ -232,3 +233,10 @@ def test_matrices_of_structures_that_are_not_passive_or_reciprocal_are_told(matr
     assert [(one.matrix, one.kind) for one in violations(*(X / np.outer(units, units) for X in matrices))] == [
         one[:2] for one in found
     ]
+
+
+def test_of_a_record_too_long_the_first_part_is_followed(monkeypatch):
+    given, model = record("zero"), MechanicalModel(M, D, K)
+    steps = energy.steps_per_sample(model, H)
+    monkeypatch.setattr(energy, "MOST_ROWS", 60 * steps)
+    assert energy_balance(model, given) == energy_balance(model, given[:60]) != energy_balance(model, given[:59])
