@@ -195,16 +195,25 @@ def _accounted(matrices, motion, forces, slots, terms: list[Term], h: float, las
     def energy(k):
         return (v[k] @ M @ v[k] + q[k] @ K @ q[k]) / 2
 
-    along, rate = q @ arms.T, v @ arms.T
+    def taken(k):
+        power = f[:, k] * np.sum(v * arms[k], axis=1)
+        # With the input or the acceleration it jumps at the end of a sample, where one of both values is known alone.
+        return 2 * h * power[odd] if _may_jump(terms[k].effect) else integral(power)
+
+    along = q @ arms.T
     pushed = np.sum(np.roll(v, -1, axis=0) * end, axis=1)
     return EnergyBalance(
         float(np.sum(integral(np.sum(v * begin, axis=1), pushed))),
         float(energy(last) - energy(0)),
         float(np.sum(integral(np.einsum("ni,ij,nj->n", v, D, v)))),
         float(np.sum(integral(np.einsum("ni,ij,nj->n", v, (K - K.T) / 2, q)))),
-        tuple(_of_law(term, along[even, k], integral(f[:, k] * rate[:, k])) for k, term in enumerate(terms)),
+        tuple(_of_law(term, along[even, k], taken(k)) for k, term in enumerate(terms)),
         unit,
     )
+
+
+def _may_jump(effect: AbstractForceEffect) -> bool:
+    return effect.places == "input" or effect.alters[:1] == ("mass",)
 
 
 def _of_law(term: Term, deflection: Float[np.ndarray, " nodes"], work: Float[np.ndarray, " steps"]) -> LawEnergy:

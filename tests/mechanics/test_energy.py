@@ -6,12 +6,14 @@ import scipy.integrate
 
 from jaxgray import BaseAcceleration, BaseDisplacement, ComputationError, MechanicalModel, Record, energy_balance
 from jaxgray.mechanics import energy
+from jaxgray.mechanics.effects.actuator import InputPositionGain
 from jaxgray.mechanics.effects.base import AbstractForceEffect, Parameter, Place, Term
 from jaxgray.mechanics.effects.coupling import CirculatoryCoupling, GyroscopicCoupling
 from jaxgray.mechanics.effects.disturbance import PeriodicDisturbance
-from jaxgray.mechanics.effects.friction import CoulombFriction, QuadraticDrag
+from jaxgray.mechanics.effects.friction import CoulombFriction, LoadFriction, QuadraticDrag
 from jaxgray.mechanics.effects.hysteresis import BoucWenHysteresis
 from jaxgray.mechanics.effects.stiffness import ConstantForce, CubicStiffness, EndStop
+from jaxgray.mechanics.effects.structure import MassStep
 from jaxgray.mechanics.passivity import violations
 
 M = np.array([[2.0, -0.3], [-0.3, 1.0]])
@@ -240,3 +242,19 @@ def test_of_a_record_too_long_the_first_part_is_followed(monkeypatch):
     steps = energy.steps_per_sample(model, H)
     monkeypatch.setattr(energy, "MOST_ROWS", 60 * steps)
     assert energy_balance(model, given) == energy_balance(model, given[:60]) != energy_balance(model, given[:59])
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        term(LoadFriction(), Place("u1", 0), 0.1, 1e-3),
+        term(InputPositionGain(), Place("u1", 0), 0.5, 0.0),
+        term(MassStep(), FIRST, 0.6, 2.0, 0.1),
+    ],
+)
+def test_laws_that_jump_with_the_input_balance_too(law):
+    # Another input at every sample, and slow motion between two: few steps are taken.
+    given = Record(np.random.default_rng(5).standard_normal((2000, 2)) * 20, np.arange(4000.0).reshape(2000, 2), 0.008)
+    found = energy_balance(MechanicalModel(M, D, K, effects=(law,)), given)
+    assert energy.steps_per_sample(MechanicalModel(M, D, K), 0.008) == 2
+    assert found.error < 2e-3 and found.laws[0].moved > 0.02 * found.entered
