@@ -134,26 +134,30 @@ class Descent:
         self.record, self.dofs = record, result.model.dofs
         self.E = np.asarray(result.model.drive.input_map)
         self.rows = np.tril_indices(self.dofs)
-        factors = [self._factor(X, size) for X, size in zip(self._matrices(result), sizes_of(result))]
+        # Coordinates that hardly move have large entries: each in units of its own mass.
+        self.units, h = np.sqrt(np.diag(result.mass)), record.sampling_time
+        factors = [self._factor(X, size) for X, size in zip(self._matrices(result), (1.0, 1 / h, 1 / h**2))]
         linear = np.concatenate([L[self.rows] for L in factors])
         self.count = len(linear)
         self.begin = np.concatenate([linear, np.zeros(2 * self.dofs + record.outputs)])
         self.table = None
+        # The factors lie a little off an edge on which the result may lie: the cost there is that of the result.
+        self.first = self.cost(self._with_best_nuisance(self.begin, self._matrices(result)), self._matrices(result))
         self.begin = self._with_best_nuisance(self.begin)
 
-    @staticmethod
-    def _factor(X, size):
+    def _factor(self, X, size):
         """Of a matrix lifted off the edge, where a factor would not move; `size`: of one of no stiffness at all."""
-        values, vectors = np.linalg.eigh(X)
+        values, vectors = np.linalg.eigh(X / np.outer(self.units, self.units))
         least = 1e-9 * max(values[-1], 1e-6 * size)
-        return np.linalg.cholesky((vectors * np.maximum(values, least)) @ vectors.T)
+        lifted = (vectors * np.maximum(values, least)) @ vectors.T
+        return np.linalg.cholesky(lifted * np.outer(self.units, self.units))
 
     @staticmethod
     def _matrices(result):
         return result.mass, result.damping, result.stiffness
 
-    def residual(self, theta):
-        M, D, K = self._built(theta)
+    def residual(self, theta, matrices=None):
+        M, D, K = self._built(theta) if matrices is None else matrices
         x0, offset = np.split(theta[self.count :], [2 * self.dofs])
         options = {"E": self.E, "hold": self.record.hold, "measured": self.record.measured, "x0": x0}
         return (
@@ -168,34 +172,34 @@ class Descent:
             built.append(L @ L.T)
         return built
 
-    def _with_best_nuisance(self, theta):
+    def _with_best_nuisance(self, theta, matrices=None):
         """First state and offsets enter linearly: the best by one least squares, whitened as they leave it."""
         W = np.eye(self.record.outputs)
         for _ in range(3):
-            base = self.residual(theta)
+            base = self.residual(theta, matrices)
             columns = []
             for k in range(self.count, len(theta)):
                 moved = theta.copy()
                 moved[k] += 1.0
-                columns.append(((base - self.residual(moved)) @ W).ravel())
+                columns.append(((base - self.residual(moved, matrices)) @ W).ravel())
             table = np.stack(columns, axis=1)
             size = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
             theta = theta.copy()
             theta[self.count :] += np.linalg.lstsq(table / size, (base @ W).ravel(), rcond=1e-12)[0] / size
-            W = self.whitening(self.residual(theta))
+            W = self.whitening(self.residual(theta, matrices))
         return theta
 
     @staticmethod
     def whitening(e):
         return np.linalg.inv(np.linalg.cholesky(e.T @ e / len(e))).T
 
-    def cost(self, theta):
-        e = self.residual(theta)
+    def cost(self, theta, matrices=None):
+        e = self.residual(theta, matrices)
         return len(e) * np.linalg.slogdet(e.T @ e / len(e))[1]
 
     def gained(self, passes=3):
         """What going on takes off -2 ln L."""
-        first = best = self.cost(self.begin)
+        best = self.cost(self.begin)
         theta = self.begin
         for _ in range(passes):
             W = self.whitening(self.residual(theta))
@@ -213,7 +217,7 @@ class Descent:
                 best = min(best, now)
                 break
             theta, best = end.x, now
-        return first - best
+        return self.first - best
 
 
 def judged(record, about, slack):
