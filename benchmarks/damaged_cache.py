@@ -1,6 +1,6 @@
 """Damage to what the command keeps: flipped bits, truncations, entries under the names of others; and no place to keep.
 
-    python benchmarks/damaged_cache.py [--damages 100] [--seed 0] [--tree CHECKOUT] [--json OUT]
+    python benchmarks/damaged_cache.py [--damages 112] [--seed 0] [--tree CHECKOUT] [--json OUT]
 
 `jaxgray identify` runs on a short record with a cache directory of its own, then again in a new process after every
 damage to one of its entries, entry after entry. The text of the result must be the same to the last digit, the exit
@@ -167,7 +167,7 @@ def others_at_once(command, folder, cache, sound, rng):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--damages", type=int, default=100)
+    parser.add_argument("--damages", type=int, default=112)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tree", default=HERE.parent, help="checkout whose code runs")
     parser.add_argument("--json")
