@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .mechanics.drives import BaseDisplacement as BaseDisplacement
     from .mechanics.drives import Force as Force
     from .mechanics.effects import CATALOGUE as CATALOGUE
+    from .mechanics.energy import energy_balance as energy_balance
     from .mechanics.model import MechanicalModel as MechanicalModel
     from .mechanics.statespace import StateSpace as StateSpace
     from .numerics.outcomes import RESULTS as RESULTS
@@ -68,6 +69,7 @@ _HOMES = {
     ),
     "mechanics.drives": ("BaseAcceleration", "BaseDisplacement", "Force"),
     "mechanics.effects": ("CATALOGUE",),
+    "mechanics.energy": ("energy_balance",),
     "mechanics.model": ("MechanicalModel",),
     "mechanics.statespace": ("StateSpace",),
     "numerics.outcomes": ("RESULTS", "ComputationError"),

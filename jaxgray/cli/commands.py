@@ -72,7 +72,7 @@ def identify(
         progress.stage("starting")
         from .environment import prepare
 
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         from ..identification import identify
         from ..report import summary
 
@@ -116,7 +116,7 @@ def sweep(file: File, channels: Channels, excitation: Excitation, spacing: Spaci
         progress.stage("starting")
         from .environment import prepare
 
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         from ..identification import sweep
         from ..report import summary
 
@@ -139,7 +139,7 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
         progress.stage("starting")
         from .environment import prepare
 
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         from ..identification.validation.residuals import fit_of
         from ..mechanics.at_stamps import at_own_times
         from ..mechanics.fitted_run import fitted_run
@@ -187,7 +187,7 @@ def export(exporting: Exporting, talk: Talk) -> None:
     from .environment import prepare
 
     files.check_places(exporting.out, read=(exporting.model,))
-    prepare(verbose=talk.verbose)
+    prepare(verbose=talk.verbose, quiet=talk.quiet)
     from ..report import exports
     from ..report.export import load
 

@@ -60,7 +60,7 @@ def diagnose(
         progress.stage("starting")
         from .environment import prepare
 
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         only, exclude = ids("--only", diagnosing.only), ids("--exclude", diagnosing.exclude)
         model = None
         if diagnosing.model is not None:
@@ -213,7 +213,7 @@ def demo(demonstrating: Demonstrating, talk: Talk) -> None:
         progress.stage("starting")
         from .environment import prepare
 
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         from .. import demonstration
         from ..numerics.whole_files import write_together
         from ..report import export

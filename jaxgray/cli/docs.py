@@ -37,7 +37,7 @@ def _built(folder: Path, talk: Talk) -> Path:
         progress.stage("writing the manual")
         from .environment import prepare
 
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         return build(folder)
 
 

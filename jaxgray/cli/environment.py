@@ -1,20 +1,23 @@
 """What must be set before jax computes: 64-bit floats, a cache of what was compiled before, memory that is kept."""
 
 import ctypes
-import hashlib
 import os
+import sys
 from pathlib import Path
 
-from ..numerics.backend import processor
+from ..numerics.compilation_cache import keep_compiled
+from ..numerics.kept_files import NotPrivate, private_folder
 
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
 """Of `mallopt` in glibc."""
 
 
-def prepare(*, verbose: bool = False) -> None:
+def prepare(*, verbose: bool = False, quiet: bool = False) -> None:
     """Turn on 64-bit floats and the compilation cache in the user's cache directory.
 
-    **Arguments:** `verbose`: leave the messages of the compiler on; default off.
+    A cache directory that others can change is left alone, and said so on the error stream: nothing is kept then.
+
+    **Arguments:** `verbose`: leave the messages of the compiler on; default off. `quiet`: no warning; default off.
     """
     if not verbose:
         # The CPU backend calls it an error that cached code names features which are hints, not instructions.
@@ -23,12 +26,16 @@ def prepare(*, verbose: bool = False) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    if jax.config.jax_compilation_cache_dir is None:
-        folder = cache_folder()
-        if folder is not None:
-            jax.config.update("jax_compilation_cache_dir", str(folder))
-            # Most of what is compiled is small, and together it takes as long as the large parts.
-            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    from ..numerics.stored_programs import programs_folder
+
+    try:
+        keep_compiled(user_cache("xla"))
+        if jax.config.jax_compilation_cache_dir is not None:
+            # One of the user's choice serves jax as it is, and programs where nobody else can change it.
+            programs_folder(jax.config.jax_compilation_cache_dir)
+    except NotPrivate as refused:
+        if not quiet:
+            print(f"warning: {refused}: what is compiled is not kept.", file=sys.stderr)
 
 
 def keep_memory() -> None:
@@ -47,20 +54,20 @@ def keep_memory() -> None:
         mallopt(setting, ctypes.c_int(2**31 - 1))
 
 
-def cache_folder() -> Path | None:
-    """`jaxgray/xla` in the user's cache directory, one folder a kind of processor; None where not writable.
-
-    Compiled code holds the instructions of the processor it was made on, and a home directory may be shared.
-    """
-    return user_cache("xla", hashlib.sha256(processor().encode()).hexdigest()[:12])
-
-
 def user_cache(*parts: str) -> Path | None:
-    """A folder below `jaxgray` in the user's cache directory, made if it is not there; None where not writable."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    folder = Path(base).joinpath("jaxgray", *parts)
+    """A folder below `jaxgray` in the user's cache directory, made for the user alone if it is not there.
+
+    **Returns:** the folder; None where there is no home, or one that cannot be written.
+
+    **Raises:** `NotPrivate` where others can change it.
+    """
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    # As the specification of these variables has it, a relative path does not count.
+    if not os.path.isabs(base):
+        base = os.path.join(os.path.expanduser("~"), ".cache")
+    if not os.path.isabs(base):
+        return None
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        return private_folder(Path(base).joinpath("jaxgray", *parts))
     except OSError:
         return None
-    return folder if os.access(folder, os.W_OK | os.X_OK) else None

@@ -30,15 +30,15 @@ def fleet(
     files.check_holdout(channels)
     files.check_places(fleet.json)
     _check(fleet, channels, diagnosing)
-    from .environment import cache_folder, prepare
+    from .environment import prepare
 
     with terminal.progress(quiet=talk.quiet, verbose=talk.verbose) as progress:
         progress.stage("starting")
-        prepare(verbose=talk.verbose)
+        prepare(verbose=talk.verbose, quiet=talk.quiet)
         from ..fleets import fleet as carry_out
         from ..fleets.run import summary_document
 
-        here = None if fleet.scheduler is not None else cache_folder()
+        programs = None if fleet.scheduler is not None else _programs()
         try:
             result = carry_out(
                 fleet.files,
@@ -54,14 +54,24 @@ def fleet(
                 covariates=words(fleet.covariates),
                 when_column=fleet.when_column,
                 pages=not fleet.no_pages,
-                # Workers add a folder for their kind of processor, as the command does.
-                programs=None if here is None else here.parent,
+                programs=programs,
                 again=fleet.again,
                 progress=progress,
             )
         except KeyboardInterrupt as stopped:
             raise Interrupted(f"interrupted; {stopped}" if str(stopped) else "interrupted") from None
     finish(summary_document(result), lambda out, _: out.print(repr(result), soft_wrap=True), talk, fleet.json, {}, [])
+
+
+def _programs():
+    """Folder of what is compiled, which workers share with the command; None where it has none."""
+    from ..numerics.kept_files import NotPrivate
+    from .environment import user_cache
+
+    try:
+        return user_cache("xla")
+    except NotPrivate:
+        return None
 
 
 def _check(fleet: Fleet, channels: Channels, diagnosing: Diagnosing) -> None:

@@ -39,6 +39,7 @@ from .conclusions.assembly import (
 from .conclusions.candidates import gate_of, rejected_of
 from .conclusions.explainable import explainable_share
 from .conclusions.next_experiment import next_experiment
+from .conclusions.physics import energy_of, unphysical
 from .data_checks.extrapolation import beyond_the_fit
 from .data_checks.output_offsets import from_own_zeros
 from .data_checks.record_findings import noise_findings, record_findings, still_spoilt
@@ -444,6 +445,9 @@ def _assembled(
         verdict = "equivalent" if "equivalent" in model_findings else "named" if model_findings else "noise"
     warnings = open_scale(state, setup, names) + picked_up(state, names)
     warnings += () if identification is None else _own_warnings(identification, state)
+    shown = base.model if extended is None else extended.model
+    energy = energy_of(shown, records[0], state.stage.candidate.x0[0])
+    warnings += unphysical(shown, energy)
     taken = accepted_names(state.accepted)
     return Diagnosis(
         verdict=verdict,
@@ -471,6 +475,7 @@ def _assembled(
         terms=state.stage.candidate.terms,
         own_model=baseline.own,
         gate=gate_of(state),
+        energy=energy,
     )
 
 

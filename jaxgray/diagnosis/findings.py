@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ..identification import Identification
 from ..mechanics.effects.base import Term
+from ..mechanics.energy import EnergyBalance
 from ..mechanics.model import MechanicalModel
 from ..records import Record
 
@@ -244,3 +245,4 @@ class DiagnosisFields:
     gate: tuple[Gated, ...] = ()
     beside: Float[np.ndarray, "samples dofs"] | None = field(default=None, repr=False)
     simulated: SimulatedOutputs | None = None
+    energy: EnergyBalance | None = None

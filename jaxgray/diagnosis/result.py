@@ -20,7 +20,8 @@ class Diagnosis(DiagnosisFields, Shown):
     in percent; `next_experiment`; `warnings`; `curves` for the figures; `identification`: the linear fit, None with
     the user's own model; `terms` accepted; `beside`: forces at the coordinates of the first record that act on the
     linear model beside its inputs, where that stands for the user's own simulator, else None; `simulated`: what
-    stands in for a simulation of which only the outputs were given, else None.
+    stands in for a simulation of which only the outputs were given, else None; `energy`: where the work of the inputs
+    goes in the model with its laws, None where it has none.
     """
 
     @property

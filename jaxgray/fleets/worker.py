@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 import warnings
+from pathlib import Path
 
 from .store import Store
 from .tasks import Job, Options
@@ -127,18 +128,16 @@ def _prepare(programs: str | None) -> None:
         os.environ.update(environment())
     import jax
 
-    from ..numerics.backend import processor
+    from ..numerics.compilation_cache import keep_compiled
+    from ..numerics.kept_files import NotPrivate
 
     jax.config.update("jax_enable_x64", True)
-    if programs is None or jax.config.jax_compilation_cache_dir is not None:
+    if programs is None:
         return
-    import hashlib
-
-    # Compiled code holds the instructions of the processor it was made on.
-    folder = os.path.join(programs, hashlib.sha256(processor().encode()).hexdigest()[:12])
-    os.makedirs(folder, exist_ok=True)
-    jax.config.update("jax_compilation_cache_dir", folder)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    try:
+        keep_compiled(Path(programs).absolute())
+    except NotPrivate as refused:
+        warnings.warn(f"{refused}: what is compiled is not kept, and every worker compiles anew.", stacklevel=2)
 
 
 def _read(path: str, job: Job):

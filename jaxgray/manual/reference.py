@@ -6,7 +6,7 @@ SECTIONS = {
     "Records": ("Record", "RecordWarning", "read_record", "preflight"),
     "Identification": ("identify", "Identification", "sweep", "Sweep", "stabilisation", "Stabilisation"),
     "Diagnosis": ("diagnose", "Diagnosis", "CATALOGUE"),
-    "Models": ("MechanicalModel", "StateSpace", "Force", "BaseAcceleration", "BaseDisplacement"),
+    "Models": ("MechanicalModel", "StateSpace", "Force", "BaseAcceleration", "BaseDisplacement", "energy_balance"),
     "Files and exports": ("load", "save", "export", "to_control", "to_scipy", "write_report", "write_simulation"),
     "Many and long records": ("identify_many", "Identifications", "fleet", "compress", "CompressedRecord"),
     "Inside other programs": ("estimate", "Estimate", "RowWeights", "RESULTS", "ComputationError"),

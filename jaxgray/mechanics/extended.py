@@ -104,18 +104,23 @@ def plant_motion(
     plant: Plant, x0, start, end, slots: Slots | None, sampling_time, *, laws=(), scheduling=None, substeps=1, seen=None
 ) -> tuple[Float[Array, "samples outputs"], Float[Array, "samples dofs"], Float[Array, "samples dofs"]]:
     """Outputs, and displacements and velocities of all coordinates; arguments as for `plant_run`."""
-    if slots is None:
-        _, (Ad, B, first, both) = _linear(plant, x0, start, end, sampling_time)
-        x = respond(Ad, B, jnp.eye(len(first)), jnp.zeros((len(first), both.shape[1])), both, first)
-        f, h = None, sampling_time
-    else:
-        x, f, h = _forced(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps)
+    more = {"laws": laws, "scheduling": scheduling, "substeps": substeps}
+    x, f, h = plant_states(plant, x0, start, end, slots, sampling_time, **more)
     C, D = local_rows(plant, jnp.eye(plant.mass.shape[0]), h)
     return (
         outputs_of(plant, slots, x, f, start if seen is None else seen, h),
         x @ C[0].T + start @ D[0].T,
         x @ C[1].T + start @ D[1].T,
     )
+
+
+def plant_states(plant: Plant, x0, start, end, slots: Slots | None, sampling_time, *, laws, scheduling, substeps=1):
+    """States (q, T q̇) and forces (None without) at every sample, and T [s]; arguments as for `plant_run`."""
+    if slots is not None:
+        return _forced(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps)
+    _, (Ad, B, first, both) = _linear(plant, x0, start, end, sampling_time)
+    x = respond(Ad, B, jnp.eye(len(first)), jnp.zeros((len(first), both.shape[1])), both, first)
+    return x, None, sampling_time
 
 
 def held_input(u: Float[Array, "samples inputs"], hold: str) -> tuple[Array, Array]:
@@ -201,7 +206,7 @@ def extended_run(
     outputs = len(plant.measured)
     plant = changed_plant(plant, terms)
     laws = tuple(dict.fromkeys(t.effect for t in terms if isinstance(t.effect, AbstractForceEffect)))
-    state = _widened(x0, plant.mass.shape[0])
+    state = with_coordinates_at_rest(x0, plant.mass.shape[0])
     y = plant_run(
         plant,
         state,
@@ -248,7 +253,8 @@ def source_of(term: Term, y: Float[Array, "samples outputs"], u: Float[Array, "s
     return jnp.concatenate([y, u], axis=1)[:, term.place.second]
 
 
-def _widened(x0, dofs):
+def with_coordinates_at_rest(x0: Float[Array, " states"], dofs: int) -> Array:
+    """(q, q̇) of a model with more coordinates, those at rest."""
     q, v = jnp.split(x0, 2)
     rest = jnp.zeros(dofs - len(q))
     return jnp.concatenate([q, rest, v, rest])

@@ -159,7 +159,17 @@ class ClarabelSolver(AbstractPositiveSolver):
         ends = [_polished(problem, begin + step * np.asarray(solution.x))]
         if problem.values is not None:
             ends.append(_polished(problem, begin))
-        return min(ends, key=lambda end: end[1])[0]
+        return _inside(problem, min(ends, key=lambda end: end[1])[0])
+
+
+def _inside(problem: PositiveLeastSquares, z: np.ndarray) -> np.ndarray:
+    """The nearest point of the cone: Newton steps on the condition of the optimum end a little off it, which may be
+    outside. Blocks with held entries stay as they are."""
+    held = np.zeros(len(z), bool) if problem.held is None else problem.held
+    parts = zip(*(problem.split(x) for x in (z, problem.lowest, held)))
+    return np.concatenate(
+        [part if fixed.any() else _projection_parts(part - low)[0] + low for part, low, fixed in parts]
+    )
 
 
 def inside_cone(z: np.ndarray, sizes: tuple[int, ...], floors: np.ndarray) -> bool:

@@ -2,13 +2,13 @@
 
 import atexit
 import collections
-import contextlib
-import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import TypeVar
+
+from .kept_files import read_kept, write_kept
 
 T = TypeVar("T")
 
@@ -42,10 +42,10 @@ class ReadAhead:
 
     def _start(self, first: Path) -> None:
         atexit.register(self.remember)
-        with contextlib.suppress(OSError):
-            names = _order(first).read_text().split()
-            self._left = tuple(first.parent / name for name in names)
-            self._begun = {path: Future() for path in self._left if path != first and path.exists()}
+        names = (read_kept(_order(first)) or b"").decode(errors="replace").split()
+        # Names alone: nothing outside of the folder is read.
+        self._left = tuple(first.parent / name for name in names if Path(name).name == name)
+        self._begun = {path: Future() for path in self._left if path != first and path.exists()}
         if self._begun:
             threading.Thread(target=self._work, args=(collections.deque(self._begun.items()),)).start()
 
@@ -64,10 +64,7 @@ class ReadAhead:
         wanted = tuple(self._wanted)
         if not wanted or wanted == self._left:
             return
-        part = _order(wanted[0]).with_suffix(f".{os.getpid()}")
-        with contextlib.suppress(OSError):
-            part.write_text("\n".join(path.name for path in wanted) + "\n")
-            os.replace(part, _order(wanted[0]))
+        write_kept(_order(wanted[0]), "\n".join(path.name for path in wanted).encode())
 
 
 def _order(first: Path) -> Path:

@@ -10,10 +10,12 @@ import functools
 import hashlib
 import importlib.metadata
 import io
+import json
 import os
 import pathlib
 import pickle
 import threading
+import warnings
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -22,7 +24,9 @@ import jax
 from jax.experimental import serialize_executable
 
 from .backend import flags_are_known, processor
+from .kept_files import NotPrivate, private_folder, read_kept, write_kept
 from .read_ahead import ReadAhead
+from .result_forms import form_of, form_text
 
 FOLDER = "jaxgray-programs"
 """Below the folder of jax's compilation cache."""
@@ -112,9 +116,28 @@ def _folder() -> pathlib.Path | None:
     return _below(config.jax_compilation_cache_dir)
 
 
+def programs_folder(cache: str) -> pathlib.Path | None:
+    """The folder of programs below that of jax's cache, made if need be; None where it cannot be written, or is not on
+    this machine.
+
+    **Raises:** `NotPrivate` where others can change it.
+    """
+    if "://" in cache:
+        return None
+    try:
+        return private_folder(pathlib.Path(cache).absolute() / FOLDER)
+    except OSError:
+        return None
+
+
 @functools.cache
-def _below(cache: str) -> pathlib.Path:
-    return pathlib.Path(cache) / FOLDER
+def _below(cache: str) -> pathlib.Path | None:
+    """The same; None, with one warning, where others can change it."""
+    try:
+        return programs_folder(cache)
+    except NotPrivate as refused:
+        warnings.warn(f"{refused}: compiled programs are not kept there, nor taken from there.", stacklevel=2)
+        return None
 
 
 def keeps_programs() -> bool:
@@ -329,12 +352,14 @@ def _wake_lapack() -> None:
 
 def _load(path: pathlib.Path) -> _Known | None:
     """The program that `_save` wrote; None where there is none that can be read."""
-    if not path.exists():
+    content = read_kept(path)
+    if content is None:
         return None
     try:
-        payload, inputs, example = pickle.loads(path.read_bytes())
-        in_tree = jax.tree_util.tree_structure(((0,) * inputs, {}))
-        form = jax.tree_util.tree_structure(example)
+        head, _, payload = content.partition(b"\n")
+        said = json.loads(head)
+        form = form_of(said["form"])
+        in_tree = jax.tree_util.tree_structure(((0,) * said["inputs"], {}))
         out_tree = jax.tree_util.tree_structure([0] * form.num_leaves)
         return _Known(serialize_executable.deserialize_and_load(payload, in_tree, out_tree), form)
     except Exception:
@@ -346,13 +371,9 @@ _ahead = ReadAhead(_load)
 
 def _save(path: pathlib.Path, known: _Known) -> None:
     """Write a program, whole or not at all; where that fails, the next process compiles it again."""
-    part = path.with_suffix(f".{os.getpid()}")
     try:
         payload, in_tree, _ = serialize_executable.serialize(known.program)
-        example = jax.tree_util.tree_unflatten(known.form, list(range(known.form.num_leaves)))
-        content = pickle.dumps((payload, in_tree.num_leaves, pickle.loads(_bytes_of(example))), protocol=5)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(content)
-        os.replace(part, path)
+        head = json.dumps({"inputs": in_tree.num_leaves, "form": form_text(known.form)}).encode()
     except Exception:
-        part.unlink(missing_ok=True)
+        return
+    write_kept(path, head + b"\n" + payload)

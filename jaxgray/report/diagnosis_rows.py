@@ -4,7 +4,7 @@ import re
 
 from ..diagnosis.words.sentences import entry_of, times
 from ..diagnosis.words.titles import NAMES, place_of, title_of, value_text
-from ..numerics.text import plus_minus
+from ..numerics.text import listed, plus_minus
 from .identification_rows import MATRICES
 from .rows import Rows, number
 
@@ -117,6 +117,27 @@ def what_is_left(document: dict) -> str:
     if remaining["depends_on"]:
         text += f"; depends on {', '.join(remaining['depends_on'])}"
     return text
+
+
+def energy_words(document: dict) -> str | None:
+    """Where the energy goes in the model with its laws; None where that is not known."""
+    energy = document.get("energy")
+    if energy is None or not energy["entered"]:
+        return None
+    names = coordinate_names(document)
+    parts = {"the inputs": -energy["supplied"], "damping": energy["damped"]}
+    parts |= {title_of(law["effect"], law["location"], names): law["work"] for law in energy["laws"]}
+    if energy["circulated"]:
+        parts["circulatory coupling"] = energy["circulated"]
+    parts["motion and springs at the end"] = energy["stored"]
+
+    def percent(value):
+        return f"{100 * value / energy['entered']:.1f} %"
+
+    taken = [f"{name} {percent(work)}" for name, work in parts.items() if work > 0]
+    given = [f"{name} {percent(-work)}" for name, work in parts.items() if work < 0]
+    amount = f"{energy['entered']:.3g} {energy['unit']}".rstrip()
+    return f"{amount} from {listed(given)}; to {listed(taken)}; missing {percent(abs(energy['residual']))}"
 
 
 def shift_rows(document: dict) -> Rows | None:

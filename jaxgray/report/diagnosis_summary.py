@@ -4,6 +4,7 @@ import numpy as np
 
 from ..diagnosis.findings import Estimate, Finding, Gain, ModelSummary, NextExperiment, SimulatedOutputs
 from ..diagnosis.result import Diagnosis
+from ..mechanics.energy import EnergyBalance
 from .export import model_document, plain
 from .summary import record_document
 from .terms import term_document
@@ -68,6 +69,7 @@ def diagnosis_document(diagnosis: Diagnosis, notes: tuple[str, ...] = ()) -> dic
             for shift in diagnosis.shifts
         ],
         "budget": diagnosis.budget,
+        "energy": _energy(diagnosis.energy),
         "next_experiment": _experiment(diagnosis.next_experiment, diagnosis),
         "records": {
             "estimation": [record_document(record) for record in diagnosis.records],
@@ -76,6 +78,17 @@ def diagnosis_document(diagnosis: Diagnosis, notes: tuple[str, ...] = ()) -> dic
         "warnings": list(dict.fromkeys((*notes, *diagnosis.warnings))),
     }
     return plain(document)
+
+
+def _energy(balance: EnergyBalance | None) -> dict | None:
+    """Where the work of the inputs goes, in percent of all energy that came in as well."""
+    if balance is None:
+        return None
+    laws = [
+        {"effect": law.effect, "location": law.place, "work": law.work, "creates": law.creates} for law in balance.laws
+    ]
+    amounts = {name: getattr(balance, name) for name in ("entered", "supplied", "stored", "damped", "circulated")}
+    return {"unit": balance.unit, **amounts, "laws": laws, "residual": balance.residual}
 
 
 def _simulated(simulated: SimulatedOutputs | None) -> dict | None:

@@ -11,6 +11,7 @@ from ..diagnosis.words.titles import title_of
 from .diagnosis_rows import (
     budget_rows,
     coordinate_names,
+    energy_words,
     error_rows,
     experiment_words,
     findings_rows,
@@ -60,6 +61,8 @@ def show_diagnosis(out: Console, document: dict, *, verbose: bool = False) -> No
         out.print(table_of(shifts))
     if document["budget"]:
         out.print(table_of(budget_rows(document)))
+    if (energy := energy_words(document)) is not None:
+        _line(out, f"energy of the extended model: {energy}")
     if document["rejected"]:
         out.print(_rejected_table(document, verbose))
     _show_not_found(out, document, verbose)

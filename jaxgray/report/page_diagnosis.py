@@ -12,6 +12,7 @@ from .diagnosis_rows import (
     candidate_rows,
     candidates,
     coordinate_names,
+    energy_words,
     error_kind,
     error_rows,
     estimated,
@@ -242,12 +243,13 @@ def _sections(diagnosis: Diagnosis, document: dict):
         "Parameters of the model without and with what was found: a linear model hides what it lacks in its numbers.",
         tuple(_models(document)),
     )
-    budget = document["budget"]
+    budget, energy = document["budget"], energy_words(document)
     yield Section(
         "budget",
         "Error budget",
         "Where the mean square error comes from, before anything is added to the model.",
-        (budget_plot(document), Table(budget_rows(document), "Shares of the mean square error")) if budget else (),
+        ((budget_plot(document), Table(budget_rows(document), "Shares of the mean square error")) if budget else ())
+        + ((Words((f"Energy of the extended model: {energy}.",)),) if energy else ()),
     )
     missing = not_found_rows(document)
     yield Section(

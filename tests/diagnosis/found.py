@@ -90,6 +90,8 @@ def check_found(case, diagnosis):
     if finding.effect == effect.id:
         for name, value in effect.parameters.items():
             check_parameter(finding.parameters.get(name), value, name, said)
+    if diagnosis.energy is not None:
+        assert diagnosis.energy.error < 0.01 and not any(law.creates for law in diagnosis.energy.laws)
 
 
 def check_parameter(estimate, true, name, said):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from jaxgray.identification.refinement.conic import step_inside, undetermined
+from jaxgray.numerics import positive
 from jaxgray.numerics.outcomes import ComputationError
-from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver
+from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver, inside_cone
 
 SIZES = (2, 1, 1, 1)
 FLOORS = np.array([0.01, 0.0, 0.1, 0.0])
@@ -82,3 +83,13 @@ def test_a_problem_that_overflows_has_no_solution_and_no_step(traced, where, val
     # In traced code nothing can be raised: it ends, and says that there is no answer.
     found = np.asarray(traced(jax.tree_util.tree_map(jnp.asarray, problem)))
     assert np.isfinite(value) or np.all(np.isnan(found))
+
+
+def test_what_newton_steps_leave_outside_of_the_cone_is_brought_back(monkeypatch):
+    # The minimiser without the cone has the eigenvalue -1.
+    target = np.array([1.0, 0.0, -1.0])
+    problem = PositiveLeastSquares(np.eye(3), -target, np.zeros(1), (2,), None, np.array([1.0, 0.0, 1.0]))
+    monkeypatch.setattr(positive, "_polished", lambda problem, z: (z - np.array([0.0, 0.0, 1e-6]), 0.0))
+    end = ClarabelSolver()(problem)
+    assert inside_cone(end, (2,), np.full(1, -1e-15))
+    np.testing.assert_allclose(end, [1.0, 0.0, 0.0], atol=1e-5)

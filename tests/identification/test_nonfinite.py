@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxgray
-from jaxgray.identification.refinement.cholesky import at_start, cholesky_steps, likelihood_cost, start_cost
+from jaxgray.identification.refinement.cholesky import _step, at_start, cholesky_steps, likelihood_cost, start_cost
 from jaxgray.identification.refinement.conic import conic_steps
-from jaxgray.identification.refinement.normal_equations import Criterion, Iterate, Products
+from jaxgray.identification.refinement.normal_equations import Criterion, Iterate, Normal, Products
 from jaxgray.identification.refinement.refine import begin_nuisance, refine
 from jaxgray.identification.setup.prediction import Batch, Setting
 from jaxgray.identification.setup.preparation import prepare, scaling_of
@@ -127,3 +127,10 @@ def test_factors_that_overflow_are_refused_before_they_are_simulated(problem):
     factors = _Factors.of(start.blocks, criterion)
     assert factors.finite
     assert not factors.stepped(np.full(9, 1e200)).finite
+
+
+@pytest.mark.parametrize("lost", [0.0, -1e-20])
+def test_a_diagonal_that_rounding_has_lost_gives_no_step(lost):
+    information = np.array([[lost, 1e10, 0.0], [1e10, lost, 0.0], [0.0, 0.0, 1.0]])
+    _, decrement = _step(Normal(1.0, np.ones(3), information), 0.0, np.ones(3))
+    assert np.isnan(decrement)

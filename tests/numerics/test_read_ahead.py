@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from jaxgray.numerics.kept_files import write_kept
 from jaxgray.numerics.read_ahead import ReadAhead
 
 
@@ -72,3 +73,25 @@ def test_files_that_are_gone_or_broken_are_told_where_they_are_wanted(files):
     with pytest.raises(FileNotFoundError):
         process(files, "first", "second")
     assert process(files, "first")[0] == ["first"]
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"second", b"", None])
+def test_a_damaged_order_is_replaced(files, content):
+    process(files, "first", "second")
+    (order,) = files.glob("*.order")
+    if content is None:
+        order.unlink()
+        order.mkdir()
+        assert process(files, "first", "second") == (["first", "second"], set())
+        return
+    order.write_bytes(content)
+    assert process(files, "first", "second") == (["first", "second"], set())
+    assert process(files, "first", "second") == (["first", "second"], {"second"})
+
+
+def test_an_order_names_nothing_outside_of_its_folder(files):
+    process(files, "first", "second")
+    (order,) = files.glob("*.order")
+    (files.parent / "outside").write_text("outside")
+    write_kept(order, b"first ../outside second")
+    assert process(files, "first", "second") == (["first", "second"], {"second"})

@@ -1,5 +1,6 @@
 """Programs kept on disk: a new process finds them without tracing, and nothing foreign or stale is ever run."""
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
@@ -11,6 +12,7 @@ import pytest
 from jaxgray.mechanics.effects.base import Place
 from jaxgray.numerics import stored_programs
 from jaxgray.numerics.backend import flags_are_known
+from jaxgray.numerics.kept_files import MAGIC, private_folder, read_kept, write_kept
 from jaxgray.numerics.stored_programs import StoredProgram
 
 traced = []
@@ -28,6 +30,20 @@ class Mine(eqx.Module):
     first: int = eqx.field(static=True, default=0)
 
 
+loaded = []
+
+
+def note():
+    loaded.append(True)
+
+
+class Loaded:
+    """Tells that it was unpickled."""
+
+    def __reduce__(self):
+        return note, ()
+
+
 HERE = Place("y1", 0)
 M, K = np.diag([2.0, 2.0]), np.array([[2.0, -1.0], [-1.0, 2.0]])
 
@@ -36,9 +52,10 @@ M, K = np.diag([2.0, 2.0]), np.array([[2.0, -1.0], [-1.0, 2.0]])
 def folder(tmp_path, monkeypatch):
     if not flags_are_known():
         pytest.skip("programs are stored with the releases of jaxlib alone that this was tried with")
-    monkeypatch.setattr(stored_programs, "_folder", lambda: tmp_path / "programs")
+    programs = private_folder(tmp_path / "programs")
+    monkeypatch.setattr(stored_programs, "_folder", lambda: programs)
     traced.clear()
-    return tmp_path / "programs"
+    return programs
 
 
 def values(place=HERE, *, power=1):
@@ -97,18 +114,51 @@ def test_what_is_static_and_the_surroundings_belong_to_the_key(folder, monkeypat
 
 def test_foreign_classes_are_not_stored(folder):
     assert values(Mine(1))["place"][0] == 1
-    assert not folder.exists()
+    assert not list(folder.iterdir())
 
 
-def test_what_cannot_be_read_is_made_again(folder):
-    values()
+@pytest.mark.parametrize("damage", ["cut", "flipped", "another's", "no program", "a pickle"])
+def test_what_cannot_be_read_is_made_again(folder, damage):
+    first = values()["values"]
     (path,) = folder.iterdir()
-    path.write_bytes(path.read_bytes()[:100])
-    np.testing.assert_array_equal(values()["values"], values()["values"])
-    assert len(traced) == 2
+    whole = path.read_bytes()
+    if damage == "cut":
+        path.write_bytes(whole[:100])
+    elif damage == "flipped":
+        path.write_bytes(whole[:-200] + bytes([whole[-200] ^ 1]) + whole[-199:])
+    elif damage == "another's":
+        values(power=2)
+        (other,) = (one for one in folder.iterdir() if one != path)
+        path.write_bytes(other.read_bytes())
+    elif damage == "no program":
+        # Whole, and yet nothing that the loader can read.
+        write_kept(path, read_kept(path)[:-100])
+    else:
+        path.write_bytes(pickle.dumps(Loaded()))
+    traced.clear()
+    for _ in range(2):
+        np.testing.assert_array_equal(values()["values"], first)
+    assert len(traced) == 1 and path.read_bytes()[: len(MAGIC)] == MAGIC and not loaded
+
+
+def test_folders_that_others_may_write_to_keep_no_programs(tmp_path):
+    with pytest.warns(UserWarning, match="others may write to .* compiled programs are not kept there"):
+        tmp_path.chmod(0o777)
+        assert stored_programs._below(str(tmp_path)) is None
+    assert not (tmp_path / stored_programs.FOLDER).exists()
+    # Once.
+    assert stored_programs._below(str(tmp_path)) is None
 
 
 def test_traced_arguments_go_through(folder):
     slope = jax.grad(lambda k: jnp.sum(StoredProgram(spring)(HERE, (jnp.asarray(M), k * K), power=1)["values"]))(1.0)
     assert slope == pytest.approx(np.trace(np.linalg.solve(M, K)))
-    assert not folder.exists()
+    assert not list(folder.iterdir())
+
+
+def test_a_cache_that_is_not_on_this_machine_gets_no_folder_here(tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    assert stored_programs.programs_folder("gs://bucket/cache") is None
+    assert not list(here.iterdir())

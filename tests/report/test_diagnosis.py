@@ -13,10 +13,13 @@ from jaxgray.diagnosis.findings import Estimate, Finding, Member, ParameterShift
 from jaxgray.diagnosis.model.own_laws import ParameterError
 from jaxgray.diagnosis.words.titles import NAMES, place_of, title_of, value_text
 from jaxgray.mechanics.effects import CATALOGUE, MODEL_ERRORS, RECORD_FINDINGS
+from jaxgray.mechanics.energy import EnergyBalance, LawEnergy
 from jaxgray.report.catalogue import catalogue_document, show_catalogue, unit_pattern
 from jaxgray.report.diagnosis_figures import extension
+from jaxgray.report.diagnosis_rows import energy_words
 from jaxgray.report.diagnosis_summary import diagnosis_document
 from jaxgray.report.diagnosis_terminal import show_diagnosis
+from jaxgray.report.page import html_of
 
 NAN = float("nan")
 MISSED = "The linear model misses 2.8× the noise floor at y1. "
@@ -349,3 +352,30 @@ def test_catalogue():
     assert all(f"  {id}: " in text for id in NAMES) and max(map(len, text.splitlines())) <= 110
     assert unit_pattern((1, -1, 2)) == "force s^2/length" and unit_pattern((0, 0, 0)) == "1"
     assert unit_pattern((0, 0, -1)) == "1/s" and unit_pattern((1, -1, -1)) == "force/(length s)"
+
+
+ENERGY = EnergyBalance(
+    2.0, 0.1, 1.1, 0.0, (LawEnergy("coulomb_friction", "y1", 0.79, 0.7, 12, 0.7, 0.1, False),), "N m"
+)
+
+
+def test_the_energy_of_the_extended_model_is_told():
+    made = diagnosis(energy=ENERGY)
+    document = strict(json.dumps(diagnosis_document(made), allow_nan=False))
+    law = {"effect": "coulomb_friction", "location": "y1", "work": 0.79, "creates": False}
+    wanted = {"unit": "N m", "entered": 2.0, "supplied": 2.0, "stored": 0.1, "damped": 1.1, "circulated": 0.0}
+    residual = document["energy"].pop("residual")
+    assert document["energy"] == wanted | {"laws": [law]} and residual == pytest.approx(0.01)
+    line = (
+        "energy of the extended model: 2 N m from the inputs 100.0 %; to damping 55.0 %, Coulomb friction at y1 39.5 % "
+        "and motion and springs at the end 5.0 %; missing 0.5 %"
+    )
+    assert line in " ".join(shown(made).split())
+    assert line.split(": ")[1] in html_of(made)
+    assert diagnosis_document(nothing())["energy"] is None and "energy of" not in shown(nothing())
+
+
+def test_energy_from_elsewhere_is_told_as_such():
+    taken = dataclasses.replace(ENERGY, supplied=-0.5, stored=-3.0)
+    text = energy_words(diagnosis_document(diagnosis(energy=taken)))
+    assert text.startswith("3 N m from motion and springs at the end 100.0 %; to the inputs 16.7 %, damping 36.7 %")

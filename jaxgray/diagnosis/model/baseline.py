@@ -10,6 +10,7 @@ from ...identification.setup.preparation import scaling_of
 from ...identification.setup.structure import Structure
 from ...identification.setup.units import Scaling
 from ...mechanics.model import MechanicalModel
+from ...mechanics.passivity import violations
 from ...mechanics.simulate import initial_state
 from ...records import Record
 from .candidate import Candidate, Setup
@@ -18,6 +19,9 @@ from .own_laws import laws_of
 ADOPTED = "residual of the final model"
 """Source of a noise floor where the record has none that owes nothing to a model."""
 
+
+WRITTEN = 1e-5
+"""Negative eigenvalue of a given matrix, relative to its largest entry, that comes from digits that were left out."""
 
 MUCH_LIKE = 1.5
 """Ratio of masses and stiffnesses at their coordinates up to which two models are much like one another."""
@@ -61,6 +65,7 @@ def baseline_of(
                 f"model has {model.inputs} inputs and {model.outputs} outputs, the record {first.inputs} inputs and "
                 f"{first.outputs} outputs; give the model that belongs to the record."
             )
+        _check_physical(model)
         laws, left_out = laws_of(model, first)
         model = dataclasses.replace(model, effects=laws)
         scaling, structure = scaling_of(records), Structure()
@@ -72,6 +77,24 @@ def baseline_of(
     fixed = np.ones(len(entries), bool) if own else identification.fixed
     setup = dataclasses.replace(_setup(model, scaling, structure, records[0], fixed), own=laws, physical=physical)
     return Baseline(model, setup, _begun(model, entries, records), own, left_out)
+
+
+def _check_physical(model: MechanicalModel) -> None:
+    """Raise `ValueError` for matrices that the entries of a diagnosis cannot be: others would be judged in their
+    place."""
+    for one in violations(model.mass, model.damping, model.stiffness, rounding=WRITTEN):
+        if one.kind == "negative":
+            raise ValueError(
+                f"model: {one.matrix} is negative where mostly {model.coordinates[one.at[0]]} moves (eigenvalue "
+                f"{one.value:.3g} with its diagonal's masses as units); give M > 0, D ≥ 0, K ≥ 0, and what pushes as "
+                "an effect of the model."
+            )
+        (i, j), effects = one.at, {"damping": "gyroscopic_coupling", "stiffness": "circulatory_coupling"}
+        rest = f", and the rest as {effects[one.matrix]} among its effects" if one.matrix in effects else ""
+        raise ValueError(
+            f"model: {one.matrix}[{i},{j}] and {one.matrix}[{j},{i}] differ by {one.value:.3g}; give a symmetric "
+            f"matrix{rest}."
+        )
 
 
 def others_of(records: list[Record], baseline: Baseline, models: list[MechanicalModel]) -> tuple[Candidate, ...]:

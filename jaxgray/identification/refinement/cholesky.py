@@ -266,7 +266,9 @@ def _step(normal: Normal, damping: float, unit: np.ndarray) -> tuple[np.ndarray,
     """The damped step, and the decrement that it promises; `unit`: what damps all parameters alike."""
     H, g = normal.information + np.diag(damping * unit**2), normal.gradient
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    H = H / scale[:, None] / scale[None, :] + 1e-13 * np.eye(len(scale))
+    with np.errstate(over="ignore"):
+        # Where rounding has left nothing of two entries of the diagonal, out of range, and refused below.
+        H = H / scale[:, None] / scale[None, :] + 1e-13 * np.eye(len(scale))
     if not np.all(np.isfinite(H)) or not np.all(np.isfinite(g)):
         return g, np.nan
     try:
