@@ -185,13 +185,17 @@ def _wandering(y: np.ndarray, explained: np.ndarray) -> tuple[float, float]:
 
 
 def _delay(y: np.ndarray, x: np.ndarray) -> float:
-    """Samples by which y is behind x, where their correlation is largest."""
-    n, fine = len(y), 16
+    """Samples by which y is behind x, where their correlation is largest; between samples by a parabola."""
+    n = len(y)
+    length = 2 ** int(np.ceil(np.log2(2 * n)))
     window = np.hanning(n)
-    Y, X = np.fft.rfft((y - y.mean()) * window, 2 * n), np.fft.rfft((x - x.mean()) * window, 2 * n)
-    across = np.fft.irfft(Y * np.conj(X), 2 * n * fine)
+    Y, X = np.fft.rfft((y - y.mean()) * window, length), np.fft.rfft((x - x.mean()) * window, length)
+    across = np.fft.irfft(Y * np.conj(X), length)
     at = int(np.argmax(across))
-    return (at - len(across) if at > len(across) // 2 else at) / fine
+    before, top, after = across[at - 1], across[at], across[(at + 1) % length]
+    bend = 2.0 * top - before - after
+    beside = 0.5 * (after - before) / bend if bend > 0.0 else 0.0
+    return float((at - length if at > length // 2 else at) + beside)
 
 
 def retimed(y: np.ndarray, total: float) -> np.ndarray:
