@@ -6,6 +6,7 @@ from jaxgray.records.excitation import multisine as multisine
 from jaxgray.records.excitation import prbs as prbs
 from jaxgray.records.excitation import random_steps as random_steps
 from jaxgray.records.excitation import white as white
+from jaxgray.records.finding import RecordFinding as RecordFinding
 from jaxgray.records.joining import check_compatible as check_compatible
 from jaxgray.records.joining import check_uniform as check_uniform
 from jaxgray.records.joining import concatenate as concatenate

@@ -20,7 +20,7 @@ def record_section(records, held_out, document: dict, *notes: str) -> Section:
         rows = Rows(("channel", "severity", "what was seen"), tuple(dict.fromkeys(seen)), frozenset({0, 1, 2}))
         blocks.append(Table(rows, "Looked at before any model"))
     else:
-        notes = ("Looked at before any model: no clipping, outliers, gaps or dead channels.", *notes)
+        notes = ("Looked at before any model: nothing was found.", *notes)
     warnings = tuple(f"Warning: {text}" for text in document["warnings"])
     blocks.append(Words((*notes, *warnings)))
     return Section(

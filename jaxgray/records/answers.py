@@ -1,0 +1,146 @@
+"""How outputs answer inputs, by a difference equation long enough for any linear system: no structure, no parameters.
+
+    y(k) + a₁ y(k−1) + … + a_p y(k−p) = Σ_j b_j0 u_j(k) + … + b_jp u_j(k−p) + e(k)
+
+by least squares, each output from its own past. Such an equation is consistent for a linear system and any coloured
+noise as p grows; what it leaves is told apart by what e and e/A look like.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgray.numerics.filters import filtered
+
+ORDERS = (20, 40)
+"""Orders tried: the first serves where the second is hardly better."""
+
+BETTER = 0.8
+"""Share of the unexplained part below which the longer equation is taken."""
+
+MOST_ROWS = 8000
+"""Rows of the least-squares problem; of longer records, blocks all over it."""
+
+BLOCK = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One output by the inputs.
+
+    **Arguments:**
+
+    - `a`: 1, a₁, …; `b`: of every input.
+    - `innovation`: e, zero where a sample that it needs is missing.
+    - `unexplained`: e/A, the output without what the inputs explain; missing samples are zero.
+    - `share`: RMS of the unexplained over that of the output; infinite where 1/A is not stable, then all of the output
+        is unexplained.
+    """
+
+    a: Float[np.ndarray, " past"]
+    b: Float[np.ndarray, "inputs past"]
+    innovation: Float[np.ndarray, " samples"]
+    unexplained: Float[np.ndarray, " samples"]
+    share: float
+
+    def by(self, u: Float[np.ndarray, " samples"], j: int) -> Float[np.ndarray, " samples"]:
+        """What input j brings, from rest."""
+        return filtered(self.b[j], self.a, u)
+
+
+def answer(
+    u: Float[np.ndarray, "samples inputs"], y: Float[np.ndarray, " samples"], rows: slice | None = None
+) -> Answer | None:
+    """Fit one output, both without their means.
+
+    **Arguments:**
+
+    - `u`, `y`: signals; NaN where an output is missing.
+    - `rows`: those fitted to; default all.
+
+    **Returns:** the `Answer`, None where the record is too short.
+    """
+    best = None
+    for order in ORDERS:
+        found = fitted(u, y, order, rows)
+        if found is not None and (best is None or found.share < BETTER * best.share):
+            best = found
+    return best
+
+
+SHIFTS = (15, 50, -25, -55)
+"""Samples by which inputs are put off where they explain little: an equation of this length reaches that much on."""
+
+PLAIN = 0.02
+"""Unexplained share below which nothing is shifted."""
+
+
+def aligned(u: np.ndarray, y: np.ndarray, found: Answer) -> tuple[int, Answer]:
+    """An output by inputs that are put off by so many samples that they explain it better.
+
+    **Returns:** how many samples earlier the output is than in the record that was fitted, and the `Answer`; 0 and
+    `found` where no shift explains far more.
+    """
+    best = 0, found
+    if found.share < PLAIN or len(y) < 10 * max(ORDERS):
+        return best
+    for lead in SHIFTS:
+        x = y.astype(float).copy()
+        x[-lead if lead > 0 else 0 : None if lead > 0 else -lead] = np.nan
+        moved = np.roll(u, -lead, axis=0)
+        other = fitted(moved, x, ORDERS[0], None)
+        if other is not None and other.share < 0.6 * best[1].share:
+            best = lead, answer(moved, x)
+    return best
+
+
+def fitted(u: np.ndarray, y: np.ndarray, order: int, rows: slice | None) -> Answer | None:
+    """The same by an equation of one order."""
+    n, inputs = u.shape
+    known = np.isfinite(y)
+    x = np.where(known, y, 0.0)
+    usable = known.copy()
+    usable[:order] = False
+    for lag in np.flatnonzero(~known):
+        usable[lag : lag + order + 1] = False
+    chosen = np.zeros(n, bool)
+    chosen[slice(None) if rows is None else rows] = True
+    places = _spread(np.flatnonzero(usable & chosen))
+    unknowns = order + inputs * (order + 1)
+    if len(places) < 3 * unknowns:
+        return None
+    X = np.empty((unknowns, len(places)))
+    for k in range(1, order + 1):
+        X[k - 1] = x[places - k]
+    for j in range(inputs):
+        column = np.ascontiguousarray(u[:, j])
+        for k in range(order + 1):
+            X[order + j * (order + 1) + k] = column[places - k]
+    size = np.sqrt(np.mean(X**2, axis=1))
+    size[size == 0.0] = 1.0
+    X /= size[:, None]
+    # An input of few frequencies leaves some of it open: the smallest solution.
+    values, vectors = np.linalg.eigh(X @ X.T)
+    kept = values > 1e-12 * values[-1]
+    V = vectors[:, kept]
+    theta = V @ ((V.T @ (X @ x[places])) / values[kept]) / size
+    a = np.concatenate([[1.0], -theta[:order]])
+    b = theta[order:].reshape(inputs, order + 1)
+    e = filtered(a, [1.0], x) - sum(filtered(b[j], [1.0], u[:, j]) for j in range(inputs))
+    e[~usable] = 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        left = np.where(known, filtered([1.0], a, e), 0.0)
+        judged = usable & chosen
+        share = np.sqrt(np.mean(left[judged] ** 2) / np.mean(x[judged] ** 2))
+    if not share < 3.0:
+        left, share = x, np.inf
+    return Answer(a, b, e, left, float(share))
+
+
+def _spread(places: np.ndarray) -> np.ndarray:
+    """At most so many of them, in blocks all over the record."""
+    if len(places) <= MOST_ROWS:
+        return places
+    blocks = np.array_split(places, MOST_ROWS // BLOCK)
+    return np.concatenate([block[:BLOCK] for block in blocks])

@@ -1,0 +1,191 @@
+"""A record with what several checks look at, each computed when it is first asked for."""
+
+import functools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxgray.records.answers import Answer, aligned, answer
+from jaxgray.records.cleaning import without_defects
+from jaxgray.records.defects import spikes
+from jaxgray.records.modes import SHIFTS, Modes, input_power, modes
+from jaxgray.records.record import Record
+from jaxgray.records.relations import distinguishable
+
+MOST_SPOILT = 0.02
+"""Share of missing and spoilt samples of an output above which only that is said of it."""
+
+EXPLAINED = 0.5
+"""Unexplained share up to which a relation says something of signs and times."""
+
+ROUGH = 0.05
+"""Misfit of the modes, as a share of power, above which they say nothing."""
+
+PLAIN_SHIFT = 0.1
+"""Unexplained share up to which a shift of one output alone is said."""
+
+FRICTION_PHASE, FAR_BETTER, BETTER = 0.4, 8.0, 4.0
+"""Phase in rad up to which friction is taken for a shift, and how much better a shift must fit below and above it."""
+
+UNSHIFTED = 0.03
+"""Misfit of the modes without a shift below which none is looked for."""
+
+CANCELLING = 1.5
+"""Size of a mode, over all of the motion, from which modes only cancel each other."""
+
+LEAST_SHIFT, LEAST_PHASE = 1.75, 0.1
+"""Samples, and rad at the strongest mode, from which a shift is said: the hold of the input is worth half a sample."""
+
+
+@dataclass(frozen=True)
+class MovingOutput:
+    """An output that moves.
+
+    Spikes are looked for once and made missing for the other detectors: one beyond a limit hides the limit,
+    and rest between two of them looks like a stuck sensor.
+    """
+
+    name: str
+    y: np.ndarray
+    spikes: np.ndarray
+    without_spikes: np.ndarray
+
+
+class Answering(NamedTuple):
+    """An output and how it answers the inputs: `position` in the record, `y` without its mean and spoilt samples (zero
+    there), over its largest value `size`, and what was `found`."""
+
+    position: int
+    name: str
+    y: np.ndarray
+    size: float
+    found: Answer
+
+
+class Looked:
+    """A record with what several checks look at; each is computed when it is first asked for."""
+
+    def __init__(self, record: Record):
+        self.record = record
+        self.moving = [
+            MovingOutput(name, y, places, _with_gaps(y, places))
+            for name, y in zip(record.output_names, record.y.T)
+            if not is_constant(y)
+            for places in [spikes(y)]
+        ]
+        self.explained: set[str] = set()
+        """Outputs whose relation to the inputs another finding has explained."""
+
+    @functools.cached_property
+    def u(self) -> np.ndarray:
+        """Inputs without their means, over their largest values; those that are constant zero."""
+        return np.stack([np.zeros(len(x)) if is_constant(x) else _scaled(x)[0] for x in self.record.u.T], axis=1)
+
+    @functools.cached_property
+    def outputs(self) -> list[tuple[int, str, np.ndarray, float]]:
+        """Outputs that move: position, name, signal without its mean and over its largest value, NaN where it is
+        missing or spoilt, and that value."""
+        clean = without_defects(self.record)
+        return [
+            (k, name, *_scaled(y))
+            for k, (name, y) in enumerate(zip(clean.output_names, clean.y.T))
+            if not is_constant(y)
+        ]
+
+    @functools.cached_property
+    def answering(self) -> list[Answering]:
+        """Outputs with a relation to the inputs, none of those with many spoilt samples."""
+        if not np.any(self.u):
+            return []
+        found = [
+            (k, name, y, size, answer(self.u, y))
+            for k, name, y, size in self.outputs
+            if np.mean(np.isnan(y)) <= MOST_SPOILT
+        ]
+        return [Answering(k, name, np.nan_to_num(y), size, one) for k, name, y, size, one in found if one is not None]
+
+    @functools.cached_property
+    def modes(self) -> dict[str, Modes]:
+        """Modes of the outputs that the inputs explain well enough, if need be shifted in time."""
+        record, found = self.record, {}
+        if not distinguishable(self.u):
+            return found
+        power = input_power(self.u)
+        for one in self.answering:
+            lead, best = aligned(self.u, one.y, one.found)
+            if best.share < EXPLAINED:
+                seen = modes(best, power, record.measured[one.position], record.hold, lead)
+                if seen is not None:
+                    found[one.name] = seen
+        return found
+
+    @functools.cached_property
+    def shifts(self) -> dict[str, float]:
+        """Samples by which outputs are late, of those whose modes say so: all alike where all are best served by one
+        shift, otherwise those that the inputs explain well."""
+        fits = {
+            name: (seen.shift, seen.misfit, seen.unshifted, seen.omega[0])
+            for name, seen in self.modes.items()
+            if np.max(np.abs(seen.parts)) < CANCELLING
+        }
+        if len(fits) == len(self.answering) > 1:
+            misfit = np.mean([self.modes[name].misfits for name in fits], axis=0)
+            best, omega = int(np.argmin(misfit)), min(fit[3] for fit in fits.values())
+            if _is_shift(SHIFTS[best], misfit[best], misfit[len(SHIFTS) // 2], omega):
+                return dict.fromkeys(fits, float(SHIFTS[best]))
+        # Friction turns the phases of single outputs, but then much is left unexplained.
+        return {
+            name: fit[0]
+            for name, fit in fits.items()
+            if _is_shift(*fit) and (len(self.answering) == 1 or self.modes[name].share < PLAIN_SHIFT)
+        }
+
+    @property
+    def open(self) -> list[Answering]:
+        """Those that no finding has explained yet."""
+        return [one for one in self.answering if one.name not in self.explained]
+
+
+def _is_shift(shift: float, misfit: float, unshifted: float, omega: float) -> bool:
+    """Whether a shift in samples is one: large enough at a mode of `omega` rad per sample, and far better than none."""
+    phase = abs(shift) * omega
+    better = FAR_BETTER if phase < FRICTION_PHASE else BETTER
+    large = abs(shift) >= LEAST_SHIFT and phase > LEAST_PHASE
+    return bool(large and misfit < ROUGH and unshifted > max(better * misfit, UNSHIFTED))
+
+
+def _scaled(x: np.ndarray) -> tuple[np.ndarray, float]:
+    """A signal that moves, without its mean and over its largest value, and that value: squares of very small and very
+    large ones vanish or overflow."""
+    largest = np.nanmax(np.abs(x))
+    x = x / largest
+    x = x - np.nanmean(x)
+    size = np.nanmax(np.abs(x))
+    return x / size, float(largest * size)
+
+
+def _with_gaps(y: np.ndarray, places: np.ndarray) -> np.ndarray:
+    x = y.copy()
+    x[places] = np.nan
+    return x
+
+
+def is_constant(x: np.ndarray) -> bool:
+    there = x[~np.isnan(x)]
+    return there.size == 0 or bool(np.ptp(there) <= 1e-12 * np.abs(there).max())
+
+
+def proportion(a: np.ndarray, b: np.ndarray) -> float | None:
+    """The factor c for which b − c a is constant, None where there is none."""
+    there = ~(np.isnan(a) | np.isnan(b))
+    if there.sum() < 10 or is_constant(a[there]) or is_constant(b[there]):
+        return None
+    x, z = a[there] - a[there].mean(), b[there] - b[there].mean()
+    # Scaled, because squares of very small values vanish.
+    x_scale, z_scale = np.abs(x).max(), np.abs(z).max()
+    x, z = x / x_scale, z / z_scale
+    factor = float(x @ z / (x @ x))
+    if np.linalg.norm(z - factor * x) > 1e-6 * np.linalg.norm(z):
+        return None
+    return factor * float(z_scale / x_scale)
