@@ -1,18 +1,17 @@
 """What was measured: records, files, findings before any model, and excitation."""
 
+from jaxgray.records.checks.finding import RecordFinding as RecordFinding
+from jaxgray.records.checks.preflight import preflight as preflight
 from jaxgray.records.excitation import Multisine as Multisine
 from jaxgray.records.excitation import chirp as chirp
 from jaxgray.records.excitation import multisine as multisine
 from jaxgray.records.excitation import prbs as prbs
 from jaxgray.records.excitation import random_steps as random_steps
 from jaxgray.records.excitation import white as white
-from jaxgray.records.finding import RecordFinding as RecordFinding
 from jaxgray.records.joining import check_compatible as check_compatible
 from jaxgray.records.joining import check_uniform as check_uniform
 from jaxgray.records.joining import concatenate as concatenate
 from jaxgray.records.joining import on_one_grid as on_one_grid
-from jaxgray.records.preflight import RecordFinding as RecordFinding
-from jaxgray.records.preflight import preflight as preflight
 from jaxgray.records.read import RecordWarning as RecordWarning
 from jaxgray.records.read import read_record as read_record
 from jaxgray.records.record import PeriodAverage as PeriodAverage

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .defects import clipped, spikes, stuck
+from .checks.defects import clipped, spikes, stuck
 from .record import Record
 
 MOST = 0.85

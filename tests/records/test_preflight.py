@@ -24,7 +24,7 @@ from jaxgray.records import (
     read_record,
     white,
 )
-from jaxgray.records.defects import clipped, fast_noise, grid_step, spikes, stuck
+from jaxgray.records.checks.defects import clipped, fast_noise, grid_step, spikes, stuck
 
 STEP = 0.01
 MEASURED = Path(__file__).resolve().parents[2].parent / "shared" / "data"

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxgray.records.defects import clipped, fast_noise, grid_step, spikes, stuck
-from jaxgray.records.finding import RecordFinding
-from jaxgray.records.looked import Looked, is_constant, proportion
+from jaxgray.records.checks.defects import clipped, fast_noise, grid_step, spikes, stuck
+from jaxgray.records.checks.finding import RecordFinding
+from jaxgray.records.checks.looked import Looked, is_constant, proportion
 from jaxgray.records.record import Record
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgray.numerics.filters import filtered
-from jaxgray.records.answers import ORDERS, Answer, answer, fitted
+from jaxgray.records.checks.answers import ORDERS, Answer, answer, fitted
 
 FAR = (0.13, 0.29, 0.41, 0.57, 0.71, 0.87)
 """Shares of the record by which an input is shifted until it has nothing to do with what is left."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxgray.records.answers import Answer
+from jaxgray.records.checks.answers import Answer
 
 DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}
 

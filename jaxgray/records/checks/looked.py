@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgray.records.answers import Answer, aligned, answer
+from jaxgray.records.checks.answers import Answer, aligned, answer
+from jaxgray.records.checks.defects import spikes
+from jaxgray.records.checks.modes import SHIFTS, Modes, input_power, modes
+from jaxgray.records.checks.relations import distinguishable
 from jaxgray.records.cleaning import without_defects
-from jaxgray.records.defects import spikes
-from jaxgray.records.modes import SHIFTS, Modes, input_power, modes
 from jaxgray.records.record import Record
-from jaxgray.records.relations import distinguishable
 
 MOST_SPOILT = 0.02
 """Share of missing and spoilt samples of an output above which only that is said of it."""

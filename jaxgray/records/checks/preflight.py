@@ -3,9 +3,9 @@
 import weakref
 from collections.abc import Callable, Iterator
 
-from jaxgray.records import channel_checks, relation_checks
-from jaxgray.records.finding import SEVERITIES, RecordFinding
-from jaxgray.records.looked import Looked
+from jaxgray.records.checks import channel_checks, relation_checks
+from jaxgray.records.checks.finding import SEVERITIES, RecordFinding
+from jaxgray.records.checks.looked import Looked
 from jaxgray.records.record import Record
 
 # A new finding is one function and one row here. Those of single channels come first, then in the order in which one

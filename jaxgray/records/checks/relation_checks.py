@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxgray.numerics.text import listed
-from jaxgray.records.finding import RecordFinding
-from jaxgray.records.looked import ROUGH, Looked, proportion
-from jaxgray.records.relations import (
+from jaxgray.records.checks.finding import RecordFinding
+from jaxgray.records.checks.looked import ROUGH, Looked, proportion
+from jaxgray.records.checks.relations import (
     RESTING,
     count_lines,
     drifting,
