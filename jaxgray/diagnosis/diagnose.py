@@ -21,6 +21,7 @@ from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
 from ..numerics.runtime import ready, relieve, undisturbed
 from ..numerics.text import listed
 from ..records import Record, check_compatible, preflight
+from ..records.checks.finding import SEVERITIES
 from ..records.cleaning import without_defects
 from . import settings
 from .conclusions.assembly import (
@@ -202,8 +203,14 @@ def diagnose(
     with compiling_ahead(used, FORCES, searched, model, options):
         found = _of_clean_records(used, unseen, separate, model, searched, max_effects, seed, progress, options)
     cleaned = [*used, *found.records]
-    messages = [{finding.message for one in group for finding in preflight(one)} for group in (records, cleaned)]
+    messages = [
+        {finding.message for one in group for finding in preflight(one, relations=False)}
+        for group in (records, cleaned)
+    ]
     warnings = tuple(text for text in found.warnings if text in messages[0] or text not in messages[1])
+    # What is wrong between channels is no law, and looks like many.
+    beside = (finding for finding in preflight(records[0]) if finding.severity != SEVERITIES[0])
+    warnings += tuple(one.message for one in beside if one.message not in messages[0])
     found = dataclasses.replace(found, findings=merged(record_findings(records[0]) + found.findings), warnings=warnings)
     return _ended(found, progress, budget)
 

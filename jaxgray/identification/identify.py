@@ -271,7 +271,7 @@ def _preflight(records: list[Record]) -> list[str]:
     """Findings on the raw record, as notes; those that leave nothing to identify are raised."""
     notes = []
     for record in records:
-        for finding in preflight(record):
+        for finding in preflight(record, relations=False):
             if finding.effect == "identical_outputs":
                 raise ComputationError(
                     RESULTS.singular_state_basis, stage="raw record", detail=finding.message.rstrip(".")

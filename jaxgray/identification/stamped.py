@@ -61,7 +61,7 @@ def identify_stamped(
     **Raises:** as `fit`.
     """
     now, unseen = ([r.on_grid for r in group] for group in (records, held_out))
-    messages = [finding.message for r in now for finding in preflight(r)]
+    messages = [finding.message for r in now for finding in preflight(r, relations=False)]
     found, moved, rests = fit(now, unseen), np.inf, False
     uniform = found
     mended, clocks, off = records, (), np.zeros(0)

@@ -21,7 +21,7 @@ def record_findings(measured: Record) -> tuple[Finding, ...]:
     **Arguments:** `measured`: the record as it came, before its spoilt samples were made missing.
     """
     found = []
-    for finding in preflight(measured):
+    for finding in preflight(measured, relations=False):
         if finding.effect in IDS:
             values = {
                 name: Estimate(float(value), None, "")
@@ -37,7 +37,7 @@ def record_findings(measured: Record) -> tuple[Finding, ...]:
 
 def still_spoilt(cleaned: Record) -> bool:
     """Whether so much of a record is clipped, or far off, that it was not taken away."""
-    return any(finding.effect in LEFT_OUT for finding in preflight(cleaned))
+    return any(finding.effect in LEFT_OUT for finding in preflight(cleaned, relations=False))
 
 
 def noise_findings(used: Record, e: np.ndarray, noise_model: NoiseModel | None = None) -> tuple[Finding, ...]:

@@ -8,9 +8,10 @@ from jaxgray.records.checks.finding import SEVERITIES, RecordFinding
 from jaxgray.records.checks.looked import Looked
 from jaxgray.records.record import Record
 
-# A new finding is one function and one row here. Those of single channels come first, then in the order in which one
+# A new finding is one function and one row here; those of channels beside one another stand in the order in which one
 # defect hides another.
-CHECKS: tuple[Callable[[Looked], Iterator[RecordFinding]], ...] = (
+Checks = tuple[Callable[[Looked], Iterator[RecordFinding]], ...]
+CHANNELS: Checks = (
     channel_checks.too_short,
     channel_checks.constant,
     channel_checks.doubled,
@@ -19,6 +20,8 @@ CHECKS: tuple[Callable[[Looked], Iterator[RecordFinding]], ...] = (
     channel_checks.clipping,
     channel_checks.quantization,
     channel_checks.outliers,
+)
+RELATIONS: Checks = (
     relation_checks.excitation,
     relation_checks.drift,
     relation_checks.unit,
@@ -32,7 +35,7 @@ CHECKS: tuple[Callable[[Looked], Iterator[RecordFinding]], ...] = (
 )
 
 
-def preflight(record: Record) -> list[RecordFinding]:
+def preflight(record: Record, *, relations: bool = True) -> list[RecordFinding]:
     """Look at a record before any model: sensors, channels, units, signs, timing and excitation.
 
     Channels are looked at one by one, then how the outputs follow the inputs by a long difference equation. Inputs are
@@ -41,19 +44,19 @@ def preflight(record: Record) -> list[RecordFinding]:
     **Arguments:**
 
     - `record`: the `Record` as measured.
+    - `relations`: whether channels are looked at beside one another as well, which takes most of the time; default
+        True. Never where rows have times of their own.
 
     **Returns:** the `RecordFinding`s, worst first; empty for a clean record.
     """
     # Asked at every stage of a diagnosis.
-    if record not in _seen:
-        _seen[record] = tuple(_findings(record))
-    return list(_seen[record])
+    relations = relations and record.stamps is None
+    known = _seen.setdefault(record, {})
+    if relations not in known:
+        looked = Looked(record)
+        findings = [found for check in CHANNELS + RELATIONS * relations for found in check(looked)]
+        known[relations] = sorted(findings, key=lambda finding: -SEVERITIES.index(finding.severity))
+    return list(known[relations])
 
 
-_seen: weakref.WeakKeyDictionary[Record, tuple[RecordFinding, ...]] = weakref.WeakKeyDictionary()
-
-
-def _findings(record: Record) -> list[RecordFinding]:
-    looked = Looked(record)
-    findings = [finding for check in CHECKS for finding in check(looked)]
-    return sorted(findings, key=lambda finding: -SEVERITIES.index(finding.severity))
+_seen: weakref.WeakKeyDictionary[Record, dict[bool, list[RecordFinding]]] = weakref.WeakKeyDictionary()

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxgray.numerics.text import listed
+from jaxgray.records.checks.answers import answer
 from jaxgray.records.checks.finding import RecordFinding
-from jaxgray.records.checks.looked import ROUGH, Looked, proportion
+from jaxgray.records.checks.looked import ROUGH, Answering, Looked, proportion
 from jaxgray.records.checks.relations import (
     RESTING,
     count_lines,
@@ -73,9 +74,11 @@ def unit(looked: Looked) -> Iterator[RecordFinding]:
         if change is None:
             continue
         factor, sample, source = change
-        looked.explained.add(one.name)
         if record.inputs == 1 and _grows(looked.u[:, 0], sample, 1.0 / factor):
             source = 0
+        if not _explains(looked.u, one, factor, sample, source):
+            continue
+        looked.explained.add(one.name)
         if source is None:
             name, seen = one.name, f"{factor:.4g} times as large for the same inputs"
         elif source in told:
@@ -93,6 +96,21 @@ def unit(looked: Looked) -> Iterator[RecordFinding]:
             "warning",
             {"factor": factor, "sample": sample},
         )
+
+
+def _explains(u: np.ndarray, one: Answering, factor: float, sample: int, source: int | None) -> bool:
+    """Whether with the change taken back one equation explains the output all over the record, and better."""
+    u, y = np.array(u), np.array(one.y)
+    if source is None:
+        y[sample:] /= factor
+    else:
+        u[sample:, source] *= factor
+    mended = answer(u, y)
+    return mended is not None and mended.share < EXPLAINED * one.found.share
+
+
+EXPLAINED = 0.8
+"""Unexplained share with a change taken back, over that before, from which the change explains it."""
 
 
 def _grows(x: np.ndarray, sample: int, factor: float) -> bool:
