@@ -58,6 +58,7 @@ def _document(found: Identifications, k: int, record: Record) -> dict:
         "residual_test": {"white": bool(found.white[k]), "input_explained": None, "feedback": None},
         "structure_test": None,
         "noise": {"form": "output-error"},
+        "clocks": [],
         "records": {"estimation": [record_document(record)], "validation": []},
         "warnings": [],
     }

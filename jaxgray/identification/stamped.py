@@ -20,6 +20,9 @@ MOST_TURNS = 10
 RESTS = 0.01
 """Change of the uniform records, in standard deviations of the noise, that is left."""
 
+CLEAR = 5.0
+"""Difference in log-likelihood from which the grid explains a record better than the times of its rows, for sure."""
+
 STANDS = 0.01
 """Step of a clock, in standard errors, that is left."""
 
@@ -81,7 +84,7 @@ def identify_stamped(
         if turn > 1 and np.all(np.abs(off) < STANDS) and np.all(moved > before / 2):
             break
     moved = 0.0 if rests else float(np.max(moved / np.maximum(found.noise_floor, LEAST)))
-    if _left(uniform) < _left(found):
+    if _left(uniform) + CLEAR < _left(found):
         return replace(uniform, warnings=(LOGGED, *uniform.warnings))
     if clocks:
         found = replace(with_clocks(found, mended)[0], clocks=clocks)
@@ -103,8 +106,9 @@ def added(clocks: tuple[ClockError, ...], steps: tuple[ClockError, ...]) -> tupl
 
 
 def _left(found: Identification) -> float:
-    """Sum over the outputs of the logarithms of what a fit leaves of them."""
-    return float(sum(np.log(np.maximum(fit.rmse, LEAST)).sum() * len(fit.simulated) for fit in found.estimation))
+    """What a fit leaves of the outputs, as minus the logarithm of its likelihood but for a constant."""
+    counts = [np.isfinite(fit.residual).sum(axis=0) for fit in found.estimation]
+    return float(sum(np.log(np.maximum(fit.rmse, LEAST)) @ count for fit, count in zip(found.estimation, counts)))
 
 
 def keeps_times(found: Identification, records: list[Record]) -> bool:

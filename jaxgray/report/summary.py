@@ -74,6 +74,7 @@ def identification_document(result: Identification, warnings: tuple[str, ...] = 
         "aic": result.aic,
         "bic": result.bic,
         "noise": result.noise,
+        "clocks": [dataclasses.asdict(clock) for clock in result.clocks],
         "records": {
             "estimation": [record_document(record) for record in result.records],
             "validation": [record_document(record) for record in result.validation_records],

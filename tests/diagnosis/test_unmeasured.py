@@ -38,7 +38,7 @@ def records(law, draw=""):
 
 def test_a_law_is_found_where_it_turns_the_load_of_the_linear_model_into_a_wall():
     law = Effect("coulomb_friction", "y2", {"Fc": 2.2})
-    estimation, validation = records(law, "6")
+    estimation, validation = records(law, "14")
     found = jaxgray.diagnose(estimation, validation=validation, hidden=1, structure=STRUCTURE, only=SOUGHT)
     # Nearest to the record is a linear model that has nothing to do with the drive.
     assert found.baseline.model.mass[1, 1] > 100.0

@@ -99,7 +99,7 @@ def test_what_is_wrong_is_named(tmp_path, document, message):
 
 
 def test_wrong_files(model, tmp_path):
-    with pytest.raises(ValueError, match="there is no such file"):
+    with pytest.raises(ValueError, match="none.json does not exist"):
         load(tmp_path / "none.json")
     for name, message in (
         ("a.json", "this is not JSON"),
