@@ -103,7 +103,7 @@ def test_wrong_files(model, tmp_path):
         load(tmp_path / "none.json")
     for name, message in (
         ("a.json", "this is not JSON"),
-        ("a.npz", "not an NPZ file"),
+        ("a.npz", "no NPZ file"),
         ("a.txt", "the ending"),
     ):
         (tmp_path / name).write_text("{")

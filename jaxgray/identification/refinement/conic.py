@@ -25,6 +25,9 @@ NOTHING = 1e-7
 NO_SIZE = 1e-6
 """Standard errors below which a block counts as having no size of its own."""
 
+LARGEST = 1e200
+"""Variance, but for that of the noise, above which nothing is told apart: its products are still numbers."""
+
 SHARED = 0.01
 """Squared part of a variable in null directions from which these move it."""
 
@@ -41,9 +44,11 @@ class ConicEnd(eqx.Module):
 
 
 def pseudo_inverse(H: np.ndarray, threshold: float = 1e-13) -> np.ndarray:
-    """Inverse of a positive semidefinite matrix, scaled to unit diagonal, without its null directions."""
+    """Inverse of a positive semidefinite matrix, scaled to unit diagonal, without its null directions; entries up to
+    `LARGEST`, for what moves nothing."""
     scale, values, vectors, kept = _directions(H, threshold)
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    scale = np.maximum(scale, LARGEST**-0.5)
     return inverse / scale[:, None] / scale[None, :]
 
 
