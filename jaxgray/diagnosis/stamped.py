@@ -51,7 +51,10 @@ def diagnose_stamped(
     try:
         found = None if model is not None else identify(records, progress=progress, **options)
         if found is not None and not keeps_times(found, records):
-            return dataclasses.replace(judge(now, unseen), warnings=found.warnings)
+            # The first of its warnings says that the grid explains the samples better.
+            judged = judge(now, unseen)
+            warnings = (found.warnings[0], *judged.warnings)
+            return dataclasses.replace(judged, findings=merged(seen + judged.findings), warnings=warnings)
         begin = model if found is None else found.model
         for one in () if found is None else found.clocks:
             record = records[one.record]

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..records import Record
 from ..records.stamped import ClockError, mended
+from .refinement.conic import pseudo_inverse
 from .refinement.normal_equations import Criterion, Iterate, sensitivities, without_noise
 from .refinement.uncertainty import uncertainty
 from .result import Identification
@@ -19,6 +20,9 @@ from .setup.preparation import prepare
 
 RANK_TOLERANCE = 1e-10
 """Relative singular value below which a direction of the parameters is none."""
+
+LEAST = 1e-150
+"""Size of what moves no output."""
 
 
 def with_clocks(found: Identification, records: list[Record]) -> tuple[Identification, list[Record], np.ndarray]:
@@ -54,13 +58,17 @@ def with_clocks(found: Identification, records: list[Record]) -> tuple[Identific
             T[k, place, j, 2 * column + 1] = slope[place, j] * (record.stamps.time[rows] - record.start_time)
     kept = np.asarray(batch.kept)[..., None]
     J, T, e = (np.einsum("op,rnpc->rnoc", W, X * kept).reshape(-1, X.shape[3]) for X in (J, T, e[..., None]))
-    size = np.linalg.norm(T, axis=0)
+    size = np.maximum(np.linalg.norm(T, axis=0), LEAST)
     T = T / size
     own = T - J @ np.linalg.lstsq(J, T, rcond=RANK_TOLERANCE)[0]
-    inverse = np.linalg.inv(own.T @ own)
+    inverse = pseudo_inverse(own.T @ own)
     variance = float(e[:, 0] @ e[:, 0]) / len(e)
     step = inverse @ (own.T @ e[:, 0]) / size
-    error = np.sqrt(variance * np.diag(inverse)) / size
+    # What no output shows has no error that could be said.
+    shown = np.diag(inverse) > 0
+    error = np.where(shown, np.sqrt(variance * np.where(shown, np.diag(inverse), 1.0)) / size, np.inf)
+    if not np.all(np.isfinite(step)):
+        return found, records, np.zeros(0)
     records, clocks = list(records), []
     for column, (k, clock) in enumerate(others):
         record = records[k]
@@ -71,10 +79,10 @@ def with_clocks(found: Identification, records: list[Record]) -> tuple[Identific
         names = tuple(name for name, one in zip(record.output_names, there) if one)
         clocks.append(ClockError(k, clock, names, *map(float, (*step[at], *error[at]))))
     # What the clocks may do, the other parameters are not known by.
-    inner = np.linalg.inv(T.T @ T)
+    inner = pseudo_inverse(T.T @ T)
     information = np.array(refinement.normal.information)
     lost = J.T @ T @ inner @ T.T @ J
     information[np.ix_(free, free)] -= lost
     less = eqx.tree_at(lambda one: one.normal.information, refinement, information)
     spread = uncertainty(less, scaling, found.structure, fixed=found.fixed)
-    return replace(found, uncertainty=spread, clocks=tuple(clocks)), records, step / error
+    return replace(found, uncertainty=spread, clocks=tuple(clocks)), records, step / np.maximum(error, LEAST)

@@ -18,6 +18,7 @@ from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.varying_steps import response, step_matrices
 from ..records import Record
 from ..records.stamped.stamps import START
+from .first_state import linear_state
 from .fitted_run import fitted_run
 from .model import MechanicalModel
 from .simulate import simulate
@@ -28,9 +29,6 @@ LONGEST = 4.0
 
 FINER = 4
 """Samples per step of the grid in which what effects add is followed."""
-
-RANK_TOLERANCE = 1e-10
-"""Relative singular value below which a direction of first state and offset is not determined."""
 
 LEAST = 1e-300
 """Size of an output that does not move."""
@@ -127,13 +125,8 @@ def _first_state(record: Record, free: np.ndarray, driven: np.ndarray):
     stamps = record.stamps
     sampled = (stamps.place >= 0) & np.isfinite(driven)
     size = np.array([max(np.std(column[there]), LEAST) for column, there in zip(stamps.y.T, sampled.T)])
-    offsets = np.broadcast_to(np.eye(record.outputs), (*driven.shape, record.outputs))
-    table = (np.concatenate([free, offsets], axis=2) / size[:, None])[sampled]
-    norm = np.linalg.norm(table, axis=0)
-    norm = np.where(norm > 0, norm, 1.0)
-    left = ((stamps.y - driven) / size)[sampled]
-    found = np.linalg.lstsq(table / norm, left, rcond=RANK_TOLERANCE)[0] / norm
-    return found[: free.shape[2]], found[free.shape[2] :]
+    parts = (np.where(sampled[..., None], free, 0.0), np.where(sampled, stamps.y - driven, 0.0))
+    return linear_state(*parts, sampled / size, offset=True)
 
 
 def _added(model: MechanicalModel, linear: MechanicalModel, record: Record, x0, substeps: int) -> np.ndarray:

@@ -27,6 +27,31 @@ State = tuple[Float[np.ndarray, " states"], Float[np.ndarray, " outputs"]]
 """A first state, and the offset of every output."""
 
 
+def linear_state(
+    free: Float[np.ndarray, "samples outputs states"],
+    left: Float[np.ndarray, "samples outputs"],
+    weight: Float[np.ndarray, "samples outputs"],
+    offset: bool,
+) -> State:
+    """min Σ (weight (left − free x0 − offset))², the smallest solution where some direction moves nothing.
+
+    **Arguments:** `free`: outputs by the first state; `left`: outputs without what the inputs do; `weight` of every
+    sample, 0 where it does not count; `offset`: whether outputs may have one.
+
+    **Returns:** first state and offset.
+    """
+    samples, outputs, states = free.shape
+    known = weight > 0
+    table = free
+    if offset:
+        table = np.concatenate([free, np.broadcast_to(np.eye(outputs), (samples, outputs, outputs))], axis=2)
+    table = (table * weight[:, :, None])[known]
+    norm = np.linalg.norm(table, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    solution = np.linalg.lstsq(table / norm, (left * weight)[known], rcond=RANK_TOLERANCE)[0] / norm
+    return solution[:states], solution[states:] if offset else np.zeros(outputs)
+
+
 @stored
 def _run_and_slopes(run, x0):
     return run(x0), jax.jacfwd(run)(x0)

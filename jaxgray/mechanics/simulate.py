@@ -15,11 +15,8 @@ from ..records import Record
 from ..records.channels import as_channels, as_seconds
 from .abstract_model import AbstractMechanicalModel, effect_names
 from .extended import Plant, extended_run
-from .first_state import refined_state
+from .first_state import linear_state, refined_state
 from .statespace import StateSpace, check_hold, hold_matrices, sampled
-
-RANK_TOLERANCE = 1e-10
-"""Relative singular value below which a direction of first state and offset is not determined."""
 
 LEAST_NOISE = 1e-6
 """Output noise, relative to the output, that prediction assumes at least: without, it has no gain."""
@@ -172,15 +169,9 @@ def initial_state(
     weight = known / np.where(size > 0, size, 1.0)
     found = np.zeros(2 * dofs), np.zeros(outputs)
     if bounded:
-        table = free
-        if offset:
-            table = np.concatenate([free, np.broadcast_to(np.eye(outputs), (samples, outputs, outputs))], axis=2)
-        table = (table * weight[:, :, None])[known]
-        norm = np.linalg.norm(table, axis=0)
-        norm = np.where(norm > 0, norm, 1.0)
-        solution = np.linalg.lstsq(table / norm, ((measured - forced) * weight)[known], rcond=RANK_TOLERANCE)[0] / norm
-        state = solution[: 2 * dofs] + np.asarray((held + to_speed) @ u[0])
-        found = np.concatenate([state[:dofs], state[dofs:] / float(h)]), solution[2 * dofs :] if offset else found[1]
+        state, shift = linear_state(free, measured - forced, weight, offset)
+        state = state + np.asarray((held + to_speed) @ u[0])
+        found = np.concatenate([state[:dofs], state[dofs:] / float(h)]), shift
     if not model.effects:
         return found
     rest = np.zeros(2 * dofs), np.zeros(outputs)

@@ -53,8 +53,8 @@ def grid_of(
     they were sampled, NaN in places without a sample.
 
     **Arguments:** `time` of the rows and `input_time` [s], increasing; `u`, finite; `y`, NaN where a row has no sample;
-    `hold`: "zero" or "linear";
-    `step` of the grid [s], default by the rows; `clock` of every row, 0 for that of the inputs, by default all.
+    `hold`: "zero" or "linear"; `step` of the grid [s], default by the rows; `clock` of every row, 0 for that of the
+    inputs, by default all.
 
     **Raises:** `ValueError` where an output has fewer than four samples, or the rows leave too long a gap.
     """
