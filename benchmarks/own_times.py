@@ -283,16 +283,23 @@ def row_cart(seeds):
 
 
 def cart(u, h, mass=6.0, viscous=8.0, forward=4.0, backward=6.0):
-    """Position of a cart with sticking dry friction that is larger one way, by small semi-implicit steps."""
-    x, v, seen = 0.0, 0.0, np.empty(len(u))
+    """Position of a cart with sticking dry friction that is larger one way: exponentials from one stop to the next."""
+    x, v, seen, rate = 0.0, 0.0, np.empty(len(u)), viscous / mass
     for k, force in enumerate(u):
-        seen[k] = x
-        for _ in range(4):
-            step = h / 4
-            free = v + step * (force - viscous * v) / mass
-            rub = step * (forward if free > 0 else backward) / mass
-            v = np.sign(free) * max(abs(free) - rub, 0.0)
-            x += step * v
+        seen[k], left = x, h
+        while left > 0:
+            if v > 0 or (v == 0 and force > forward):
+                last = (force - forward) / viscous
+            elif v < 0 or (v == 0 and force < -backward):
+                last = (force + backward) / viscous
+            else:
+                break
+            # v = last + (v0 − last) exp(−rate t), up to where it is zero.
+            stop = np.log1p(-v / last) / rate if v * last < 0 else np.inf
+            step = min(left, stop)
+            x += last * step - (v - last) * np.expm1(-rate * step) / rate
+            v = 0.0 if stop <= left else last + (v - last) * np.exp(-rate * step)
+            left -= step
     return seen
 
 
