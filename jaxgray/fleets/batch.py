@@ -60,7 +60,7 @@ def _document(found: Identifications, k: int, record: Record) -> dict:
         "noise": {"form": "output-error"},
         "clocks": [],
         "records": {"estimation": [record_document(record)], "validation": []},
-        "warnings": [],
+        "warnings": [found.details[k]] if found.details[k] else [],
     }
     return plain(document)
 

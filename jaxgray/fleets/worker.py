@@ -143,6 +143,7 @@ def _prepare(programs: str | None) -> None:
 def _read(path: str, job: Job):
     """The record of a file, what the reader noted, and means of further columns; a failure's result otherwise."""
     from ..records import read_record
+    from ..records.joining import with_step
 
     begun = time.perf_counter()
     reading, columns = dict(job.options.reading), list(job.options.columns)
@@ -154,7 +155,10 @@ def _read(path: str, job: Job):
             means = {name: float(table.u[:, table.input_names.index(name)].mean()) for name in columns}
             record = table.select(inputs=range(len(inputs)))
             usual = job.plan.get("sampling_time")
-            if usual is not None and not _same(record.sampling_time, usual):
+            other = usual is not None and not _same(record.sampling_time, usual)
+            if other and record.has_own_times:
+                record = with_step(record, usual)
+            elif other:
                 raise ValueError(
                     f"sampling time {record.sampling_time:.6g} s, and {usual:.6g} s in the fleet; resample the "
                     "record, or give those of one sampling time a fleet of their own."

@@ -10,11 +10,13 @@ from jaxtyping import Bool, Complex, Float
 
 from ..numerics.linear_algebra import least_squares
 from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.progress import Silent
 from ..numerics.runtime import ready
-from ..records import Record, check_uniform
+from ..records import Record
 from .initialization.start import filled
 from .setup.options import pick
 from .setup.preparation import prepare, scaling_of
+from .standing import uniform_records
 from .subspace.filter_bank import pole
 from .subspace.grid import default_time_constants, record_factors, usable_block_rows
 from .subspace.projection import WEIGHTS, AbstractWeight, Data, arrange, project
@@ -65,7 +67,7 @@ def stabilisation(
 
     **Arguments:**
 
-    - `record`: the `Record`.
+    - `record`: the `Record`; rows at times of their own as for `sweep`.
     - `orders`: even numbers of states; default 2, 4, … up to what `block_rows` allows, 20 at most.
     - `time_constant`: of the filters, τ [s]; default the middle of those that `sweep` tries.
     - `block_rows`: i; default the most that `sweep` tries.
@@ -82,7 +84,7 @@ def stabilisation(
     **Reference:** Peeters & De Roeck, Mechanical Systems and Signal Processing 13 (1999) 855-878.
     """
     ready()
-    check_uniform([record])
+    (record,), _ = uniform_records([record], [], Silent())
     weight = pick("weight", weight, WEIGHTS)
     taus = default_time_constants(record)
     tau = float(taus[len(taus) // 2]) if time_constant is None else float(time_constant)

@@ -11,13 +11,14 @@ from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready, undisturbed
-from ..records import Record, check_compatible, check_uniform
+from ..records import Record, check_compatible
 from .initialization.physical_grid import physical_grid
 from .initialization.start import filled, model_run
 from .setup.options import drive_of, pick
 from .setup.prediction import Setting
 from .setup.preparation import Signals, prepare, scaling_of
 from .setup.units import Scaling
+from .standing import uniform_records
 from .subspace.filter_bank import pole
 from .subspace.grid import candidates, default_time_constants, record_factors, usable_block_rows
 from .subspace.projection import WEIGHTS
@@ -123,7 +124,8 @@ def sweep(
 
     **Arguments:**
 
-    - `record`: one record, or several of the same system.
+    - `record`: one record, or several of the same system. Rows at times of their own are identified first, and the
+      uniform records that stand for them about that model swept.
     - `time_constants`: τ [s], one or several; default ten from the record.
     - `block_rows`: i, one or several; default 4, 6, 8, 10 as the record allows.
     - `validation`: records that are simulated but not used; default none.
@@ -144,8 +146,9 @@ def sweep(
     progress = Silent() if progress is None else progress
     records = [record] if isinstance(record, Record) else list(record)
     held_out = [validation] if isinstance(validation, Record) else list(validation or [])
+    asked = {"excitation": excitation, "input_map": input_map, "relative": relative}
+    records, held_out = uniform_records(records, held_out, progress, **asked)
     check_compatible(records + held_out)
-    check_uniform(records + held_out)
     weight, map = pick("weight", weight, WEIGHTS), pick("map", map, MAPS)
     drive = drive_of(records[0], excitation, input_map, relative)
     longest = max(records, key=lambda r: r.samples)

@@ -9,7 +9,6 @@ from jaxgray.records.excitation import prbs as prbs
 from jaxgray.records.excitation import random_steps as random_steps
 from jaxgray.records.excitation import white as white
 from jaxgray.records.joining import check_compatible as check_compatible
-from jaxgray.records.joining import check_uniform as check_uniform
 from jaxgray.records.joining import concatenate as concatenate
 from jaxgray.records.joining import on_one_grid as on_one_grid
 from jaxgray.records.read import RecordWarning as RecordWarning

@@ -43,23 +43,6 @@ def check_compatible(records: Sequence[Record]) -> None:
                 )
 
 
-def check_uniform(records: Sequence[Record]) -> None:
-    """Check that no record has rows at times of their own.
-
-    **Arguments:**
-
-    - `records`: of one system.
-
-    **Raises:** `ValueError` where one has.
-    """
-    for k, record in enumerate(records):
-        if record.has_own_times:
-            raise ValueError(
-                f"records[{k}] has rows at times of their own, and this takes uniform records: identify or diagnose "
-                "it, or give record.on_grid, which is without regard to the times."
-            )
-
-
 def _demand(holds: bool, k: int, what: str, first: Record, other: Record) -> None:
     if not holds:
         raise ValueError(
@@ -102,24 +85,29 @@ def concatenate(records: Sequence[Record]) -> Record:
     )
 
 
-def on_one_grid(records: Sequence[Record]) -> list[Record]:
+def on_one_grid(records: Sequence[Record], tolerance: float = 0.0) -> list[Record]:
     """Records with rows at times of their own on grids of one sampling time: that of the uniform ones among the
     records, or the shortest.
 
     **Arguments:**
 
     - `records`: of one system.
+    - `tolerance`: relative difference in sampling time that is left; default none.
 
     **Returns:** the records, those that are uniform as they are.
     """
     uniform = [record.sampling_time for record in records if not record.has_own_times]
     step = uniform[0] if uniform else min((record.sampling_time for record in records), default=0.0)
-    return [_with_step(record, step) if record.has_own_times else record for record in records]
+    return [
+        with_step(record, step)
+        if record.has_own_times and abs(record.sampling_time - step) > tolerance * step
+        else record
+        for record in records
+    ]
 
 
-def _with_step(record: Record, step: float) -> Record:
-    if record.sampling_time == step:
-        return record
+def with_step(record: Record, step: float) -> Record:
+    """A record of rows at times of their own on a grid of another step [s]."""
     rows = record.stamps
     y = np.where(rows.place >= 0, rows.y, np.nan)
     kept = (rows.place >= 0).any(axis=1)

@@ -123,3 +123,37 @@ def test_steps_of_any_length():
         state, product = found[k] @ state + forced[k], found[k] @ product
         np.testing.assert_allclose(x[k], state, atol=1e-12)
     np.testing.assert_allclose(P[-1], product, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def jittered():
+    rng, records = generator("batch"), []
+    for _ in range(2):
+        time, u, y = drawn(rng, "jittered")
+        records.append(Record.from_stamps(time, u, y + 1e-4 * rng.standard_normal(y.shape)))
+    return records
+
+
+def test_a_batch_finds_what_records_one_by_one_do(jittered):
+    records = [*jittered, jittered[0].on_grid]
+    together = jaxgray.identify_many(records)
+    assert together.successful.all() and not together.alone.any()
+    for k, record in enumerate(records):
+        alone = jaxgray.identify(record)
+        for name in ("mass", "damping", "stiffness"):
+            apart = (getattr(together, name)[k] - getattr(alone, name)) / alone.standard_errors[name]
+            assert np.max(np.abs(apart)) < 0.1
+    assert "The rows have times of their own" in together.details[0] and not together.details[2]
+
+
+def test_a_sweep_looks_at_the_rows_at_their_own_times(jittered):
+    choice = {"time_constants": 0.05, "block_rows": 8}
+    found = jaxgray.sweep(jittered[0], validation=jittered[1], **choice)
+    before = jaxgray.sweep(jittered[0].on_grid, validation=jittered[1].on_grid, **choice)
+    assert np.all(100 - found.fit_percent < 0.7 * (100 - before.fit_percent))
+    assert np.all(100 - found.validation_fit_percent < 0.7 * (100 - before.validation_fit_percent))
+    poles = jaxgray.stabilisation(jittered[0], orders=[2, 4])
+    noise = jaxgray.stabilisation(jittered[0].on_grid, orders=[2, 4])
+    truth = np.sort(np.sqrt(np.linalg.eigvals(np.linalg.solve(TRUTH[0], TRUTH[2])).real)) / (2 * np.pi)
+    off = [np.max(np.abs(p.frequency_hz[p.order == 4] / truth - 1)) for p in (poles, noise)]
+    assert off[0] < 2e-3 and off[0] < off[1]

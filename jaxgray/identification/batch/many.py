@@ -15,7 +15,8 @@ from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress, Silent
 from ...numerics.runtime import ready, undisturbed
 from ...numerics.stored_programs import stored
-from ...records import Record, check_compatible, check_uniform
+from ...records import Record, check_compatible, on_one_grid
+from ...records.joining import SAMPLING_TIME_TOLERANCE
 from ..identify import identify
 from ..initialization.start import POOR, StartOptions, filled, subspace_starts
 from ..setup.options import drive_of, pick
@@ -29,6 +30,7 @@ from ..subspace.grid import default_time_constants, drives_every_coordinate, usa
 from ..subspace.projection import WEIGHTS
 from ..subspace.realization import ExactMap
 from .result import Identifications
+from .stamped import fit_stamped
 from .start import start_one
 from .steps import LAGS, One, Refined, refine_one
 
@@ -63,7 +65,7 @@ def identify_many(
 
     **Arguments:**
 
-    - `records`: two or more, of any lengths; outputs may have gaps.
+    - `records`: two or more, of any lengths; outputs may have gaps, rows times of their own.
     - `time_constants`: τ [s] to try for every record, one or several; default that which serves the longest
         record best, its half and its double.
     - `block_rows`: i to try, one or several; default that which serves the longest record best.
@@ -85,23 +87,26 @@ def identify_many(
     records = list(records)
     if not records or not all(isinstance(r, Record) for r in records):
         raise ValueError("records must be a non-empty list of Record; for one record use identify.")
+    records = on_one_grid(records, SAMPLING_TIME_TOLERANCE)
     check_compatible(records)
-    check_uniform(records)
     weight = pick("weight", weight, WEIGHTS)
     drive = drive_of(records[0], "force", input_map, False)
     form = structure_of(structure)
     devices = jax.local_devices() if devices is None else list(devices)
 
     progress.stage("preparing")
-    scalings, refused = _scalings(records)
-    usable = [k for k in range(len(records)) if k not in refused]
-    if not usable:
-        raise next(iter(refused.values()))
-    taus, rows = _choices([records[k] for k in usable], drive, time_constants, block_rows, weight)
 
-    options = (taus, rows, weight, form, drives_every_coordinate(drive))
-    found = _in_chunks(records, scalings, usable, drive, options, devices, progress)
-    result = _assembled(records, scalings, usable, refused, drive, found, taus, rows)
+    def fit(uniform: list[Record]) -> Identifications:
+        scalings, refused = _scalings(uniform)
+        usable = [k for k in range(len(uniform)) if k not in refused]
+        if not usable:
+            raise next(iter(refused.values()))
+        taus, rows = _choices([uniform[k] for k in usable], drive, time_constants, block_rows, weight)
+        options = (taus, rows, weight, form, drives_every_coordinate(drive))
+        found = _in_chunks(uniform, scalings, usable, drive, options, devices, progress)
+        return _assembled(uniform, scalings, usable, refused, drive, found, taus, rows)
+
+    result = fit_stamped(fit, records) if any(r.has_own_times for r in records) else fit(records)
     if alone:
         progress.stage("identifying what is left one by one")
         result = _finished(result, records, {"weight": weight, "input_map": input_map, "structure": structure})
