@@ -69,8 +69,8 @@ from .routing import (
 )
 from .screening.flexible_force import FlexibleForce
 from .search.forward import recount
-from .search.modal_restart import from_other_modes
 from .search.parts import Searched, search
+from .search.restart import from_other_modes
 from .search.state import SearchState
 from .simulated_outputs import as_if_measured, stand_in
 from .stamped import diagnose_stamped

@@ -50,7 +50,7 @@ def diagnose_stamped(
     clocks: list[str] = []
     try:
         found = None if model is not None else identify(records, progress=progress, **options)
-        if found is not None and not keeps_times(found, records):
+        if found is not None and not keeps_times(found):
             # The first of its warnings says that the grid explains the samples better.
             judged = judge(now, unseen)
             warnings = (found.warnings[0], *judged.warnings)

@@ -13,6 +13,7 @@ from ..records import Record, preflight
 from ..records.stamped import ClockError
 from .clocks import with_clocks
 from .result import Identification
+from .validation.residuals import noise_floor
 
 MOST_TURNS = 10
 """Times that the uniform records are made anew, at most."""
@@ -106,14 +107,17 @@ def added(clocks: tuple[ClockError, ...], steps: tuple[ClockError, ...]) -> tupl
 
 
 def _left(found: Identification) -> float:
-    """What a fit leaves of the outputs, as minus the logarithm of its likelihood but for a constant."""
-    counts = [np.isfinite(fit.residual).sum(axis=0) for fit in found.estimation]
-    return float(sum(np.log(np.maximum(fit.rmse, LEAST)) @ count for fit, count in zip(found.estimation, counts)))
+    """What a fit leaves of the outputs, as minus the logarithm of its likelihood but for a constant: what the past of
+    the residual does not say, since a law that is missing says nothing of times."""
+    left = 0.0
+    for fit in found.estimation:
+        left += np.log(np.maximum(noise_floor(fit.residual), LEAST)) @ np.isfinite(fit.residual).sum(axis=0)
+    return float(left)
 
 
-def keeps_times(found: Identification, records: list[Record]) -> bool:
+def keeps_times(found: Identification) -> bool:
     """Whether records were identified at the times of their rows, and not on their grid."""
-    return not np.array_equal(found.records[0].y, records[0].on_grid.y, equal_nan=True)
+    return LOGGED not in found.warnings
 
 
 def change(old: list[Record], new: list[Record]) -> np.ndarray:

@@ -1,9 +1,10 @@
 """Free runs of a model at the times at which a record was sampled, and the uniform record that stands for it.
 
 A record of rows at times of their own and a uniform record tell the same of a model where they leave the same residual:
-the free run at the uniform times plus the residual at the rows' own times. About a model that is near the truth the
-residual is little more than noise, and what little else it holds changes by less than itself between a row and its
-place on the grid; made anew about the model that was fitted to it, it does so again, until nothing moves.
+the free run at the uniform times plus the residual at the rows' own times, its smooth part moved to those times. About
+a model that is near the truth the residual is little more than noise, and what little else it holds changes by less
+than itself between a row and its place on the grid; made anew about the model that was fitted to it, it does so again,
+until nothing moves.
 """
 
 from dataclasses import replace
@@ -12,7 +13,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BSpline, CubicSpline, splrep
 
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.varying_steps import response, step_matrices
@@ -29,6 +30,13 @@ LONGEST = 4.0
 
 FINER = 4
 """Samples per step of the grid in which what effects add is followed."""
+
+KNOTS = (4, 8, 16, 32, 64, 128)
+"""Rows from one knot to the next of the splines that are tried."""
+
+MORE_THAN_NOISE = 1.2
+"""Residual over its white part from which some of it is smooth, and is not the same at a place on the grid as at the
+time of its row."""
 
 LEAST = 1e-300
 """Size of an output that does not move."""
@@ -70,8 +78,33 @@ def about(model: MechanicalModel, record: Record) -> Record:
     for k in range(record.outputs):
         rows = np.flatnonzero(stamps.place[:, k] >= 0)
         place = stamps.place[rows, k]
-        y[place, k] = here[place, k] + stamps.y[rows, k] - there[rows, k]
+        left = stamps.y[rows, k] - there[rows, k]
+        y[place, k] = here[place, k] + left + _moved(stamps.time[rows], left, record.start_time + h * place)
     return replace(plain, y=np.where(np.isfinite(record.y), y, np.nan))
+
+
+def _moved(time: np.ndarray, left: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """By how much the smooth part of a residual changes from times to others beside them: none where it is noise.
+
+    The spline whose knots are as far apart as generalised cross-validation says.
+    """
+    known = np.flatnonzero(np.isfinite(left))
+    e, t = left[known], time[known]
+    white = np.sum(np.diff(e, n=2) ** 2) / (6 * max(len(e) - 2, 1))
+    change = np.zeros(len(left))
+    if len(e) < 8 * KNOTS[0] or not np.mean(e**2) > MORE_THAN_NOISE**2 * white:
+        return change
+    best = np.inf
+    for every in KNOTS:
+        if len(e) < 8 * every:
+            break
+        spline = BSpline(*splrep(t, e, task=-1, t=t[every:-every:every]))
+        freedom = len(e) - (len(spline.t) - 4)
+        left_over = float(np.sum((e - spline(t)) ** 2)) / freedom**2
+        if left_over < best:
+            best = left_over
+            change[known] = spline(there[known]) - spline(t)
+    return change
 
 
 def _exact(model: MechanicalModel, record: Record):

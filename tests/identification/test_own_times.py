@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import jaxgray
+from jaxgray.identification.validation.residuals import noise_floor
+from jaxgray.mechanics.at_stamps import about
 from jaxgray.numerics.varying_steps import response, step_matrices
 from jaxgray.records import Record
 
@@ -123,6 +125,26 @@ def test_steps_of_any_length():
         state, product = found[k] @ state + forced[k], found[k] @ product
         np.testing.assert_allclose(x[k], state, atol=1e-12)
     np.testing.assert_allclose(P[-1], product, atol=1e-12)
+
+
+def test_what_a_wrong_model_leaves_is_moved_to_the_places_on_the_grid():
+    time, u, y = drawn(generator("wrong"), "jittered")
+    record = Record.from_stamps(time, u, y)
+    every = np.unique(np.concatenate([time, record.time]))
+    clean = at_times(every, u[(np.searchsorted(time, every, side="right") - 1).clip(0)])
+    there = clean[np.searchsorted(every, record.time)]
+    wrong = jaxgray.MechanicalModel(TRUTH[0], TRUTH[1], 1.2 * TRUTH[2])
+    inside = slice(20, -20)
+    off = [np.std((r.y - there)[inside], axis=0) for r in (about(wrong, record), record.on_grid)]
+    assert np.all(off[0] < 0.1 * off[1])
+
+
+def test_the_noise_of_a_slow_residual_is_seen_across_gaps():
+    rng = generator("gaps")
+    slow = np.sin(2 * np.pi * np.arange(4000) / 1000)[:, None]
+    left = slow + 0.05 * rng.standard_normal((4000, 1))
+    gaps = np.where(rng.random((4000, 1)) < 0.4, np.nan, left)
+    assert noise_floor(gaps) == pytest.approx(noise_floor(left), rel=0.05)
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...records import Record
+from .. import settings
 from ..model.baseline import ADOPTED
 from ..model.candidate import Data
 from .whitening import white_part
@@ -34,6 +35,14 @@ def independent_floor(record: Record) -> tuple[Float[np.ndarray, " outputs"] | N
         if np.all(floor > 0) and np.all(floor < 1.5 * white):
             return floor, "quiet head"
     return None, ADOPTED
+
+
+def more_than_noise(e: np.ndarray, data: Data) -> bool:
+    """Whether a residual is more than what no motion explains, its white part."""
+    kept = data.kept[: data.samples]
+    e = np.where(kept, e[: data.samples], 0.0)
+    power = np.sum(e**2, axis=0) / np.maximum(kept.sum(axis=0), 1)
+    return bool(np.any(power > settings.STAND_IN_EXCESS**2 * white_part(e, kept)))
 
 
 def residual_rms(e: np.ndarray, data: Data) -> np.ndarray:

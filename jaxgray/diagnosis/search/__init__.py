@@ -28,7 +28,7 @@ provisional   laws that gain only together with a second one
 backward      unite, drop and simplify after an acceptance
 final_swap    equivalent laws compared once more in the whole model
 parts         the search on a part of a long record, carried over to the whole; out of step, by the force equation first
-modal_restart the whole refitted from the record's own modes, where one effect was found and much is left
+restart       the model refitted for the free run where it leaves more than noise, or from the record's own modes
 
 To add an effect: a class in `mechanics.effects`, and its row in `mechanics.effects.CATALOGUE`. To add a start: a
 module in `diagnosis.starts`, and its line in `search.proposals.refitted`. To add a move: a function here that gives

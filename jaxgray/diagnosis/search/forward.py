@@ -36,7 +36,8 @@ from .proposals import (
     without_failed,
 )
 from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
-from .state import Accepted, SearchState, held_out_run, runs_seen
+from .restart import for_the_free_run
+from .state import Accepted, SearchState, held_out_run, is_local, runs_seen
 
 
 def select_forward(
@@ -121,9 +122,10 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         # Far behind laws that do not hold, and looked for under what these leave.
         others = without_failed(context, state, searched, screening, ranked)
         second = [] if others is None else refitted(context, state, *others)
-        if _accepted(context, state, second, Move.SECOND_SCREENING):
+        both = compared(context, state.stage, ranked + second) if second else ranked
+        if _accepted(context, state, _judged(context, state, second, both, before), Move.SECOND_SCREENING):
             return 1
-        ranked = compared(context, state.stage, ranked + second) if second else ranked
+        ranked = both
     tried = frozenset(attempt.name for attempt in ranked)
     if _accepted(context, state, hidden_modes(context, state.stage, screening, tried), Move.HIDDEN_MODE):
         return 1
@@ -192,6 +194,17 @@ def _refuted(
     return True
 
 
+def _judged(
+    context: SearchContext, state: SearchState, second: list[Attempt], both: list[Attempt], since: int
+) -> list[Attempt]:
+    """Of other laws those that held-out data judge, and those that explain more than what they refused in this round: a
+    law that need not prove itself there does not go before one that failed for that alone."""
+    failed = {(one.effect, one.location) for one in state.rejected[since:] if one.reason is Reason.NO_SURE_GAIN}
+    most = max((attempt.delta_bic for attempt in both if attempt.name in failed), default=-np.inf)
+    clear = {attempt.name for attempt in both if attempt.delta_bic > most}
+    return [a for a in second if a.name in clear or not is_local(context, a.score.shape.effect)]
+
+
 def _unsure(state: SearchState, ranked: list[Attempt], since: int) -> list[Attempt]:
     """Candidates that were refused in this round for the error of their size alone; they are no longer refused."""
     names = {(one.effect, one.location) for one in state.rejected[since:] if one.reason is Reason.UNCERTAIN}
@@ -249,6 +262,7 @@ def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> Non
     names = {one.attempt.name for one in state.accepted}
     state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
     prune(context, state)
+    for_the_free_run(context, state)
 
 
 def _provisional(context: SearchContext, state: SearchState, ranked: list[Attempt]) -> bool:

@@ -11,7 +11,8 @@ from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
 from ..estimation.profile_scan import predictable
 from ..findings import Reason, Rejected
 from ..model.own_laws import told_apart
-from ..noise.whitening import estimate_noise_model, white_noise_model, white_part
+from ..noise.floor import more_than_noise
+from ..noise.whitening import estimate_noise_model, white_noise_model
 from ..screening.linearization import Stage, screen_simulated, screen_smoothed
 from ..screening.score_test import Screening
 from ..screening.shortlist import adds_mode, listed_with, shortlist
@@ -44,7 +45,7 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     attempts = attempts_of(context, stage, listed, noise_model, state.rejected, known)
     ranked = compared(context, stage, list(attempts.values()))
     forced = from_forces(context, stage, screening)
-    if _leaves_more_than_noise(context, ranked):
+    if not ranked or more_than_noise(ranked[0].fit.residual[0], context.data[0]):
         forced += [] if context.trials_at_once or context.white else from_first_trials(context, stage, screening)
         forced += from_other_models(context, stage)
     if forced:
@@ -63,17 +64,6 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
         ranked = simplified(_better_ones(compared(context, stage, ranked + late))) if late else ranked
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
-
-
-def _leaves_more_than_noise(context: SearchContext, ranked: list[Attempt]) -> bool:
-    """Whether the best refit leaves more than what no motion explains, or there is none."""
-    if not ranked:
-        return True
-    data = context.data[0]
-    kept, e = data.kept[: data.samples], ranked[0].fit.residual[0][: data.samples]
-    e = np.where(kept, e, 0.0)
-    power = np.sum(e**2, axis=0) / np.maximum(kept.sum(axis=0), 1)
-    return bool(np.any(power > settings.STAND_IN_EXCESS**2 * white_part(e, kept)))
 
 
 def _look_alikes_tried(

@@ -42,7 +42,9 @@ def fit_stamped(fit: Callable[[list[Record]], Identifications], records: list[Re
         if not moving:
             break
         before, found = moved, fit(now)
-    logged = [k for k in own if _left(uniform, k, records[k]) + CLEAR < _left(found, k, records[k])]
+    # A law that is missing says nothing of times.
+    white = [k for k in own if uniform.white[k]]
+    logged = [k for k in white if _left(uniform, k, records[k]) + CLEAR < _left(found, k, records[k])]
     if logged:
         found = fit([records[k].on_grid if k in logged else record for k, record in enumerate(now)])
     results, details = list(found.results), list(found.details)

@@ -186,9 +186,10 @@ def whiten_by_ar(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " sample
 
 
 def noise_floor(residual: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, " outputs"]:
-    """Standard deviation of the residual's unpredictable part, per output (AR whitening)."""
-    e = np.nan_to_num(residual - np.nanmean(residual, axis=0))
-    return np.array([np.std(whiten_by_ar(e[:, k])[AR_ORDER:]) for k in range(e.shape[1])])
+    """Standard deviation of the residual's unpredictable part, per output (AR whitening); over gaps from what was
+    measured before them."""
+    known = [column[np.isfinite(column)] for column in np.asarray(residual).T]
+    return np.array([np.std(whiten_by_ar(e - e.mean())[AR_ORDER:]) for e in known])
 
 
 def information_criteria(cost: float, count: int, parameters: int) -> tuple[float, float]:

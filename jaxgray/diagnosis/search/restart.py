@@ -1,7 +1,11 @@
-"""The model that was found, refitted once more from another linear model, where the first was poor.
+"""The model that was found, refitted once more from elsewhere, and kept where it leaves less.
 
-What is hidden may bend the best M, D, K so far (a sensor that lags, a sweep) that a refit with the right effect ends in
-another minimum. The record's own modes are hardly touched by it.
+As it stands, under white noise: where a law was still missing, its traces passed for noise at the forces, and under
+such noise a refit follows the record step by step and hardly asks where the free run goes.
+
+From the record's own modes, where the first linear model was poor: what is hidden may bend the best M, D, K so far (a
+sensor that lags, a sweep) that a refit with the right effect ends in another minimum. The modes are hardly touched by
+it.
 """
 
 import dataclasses
@@ -20,17 +24,28 @@ from ..estimation.context import SearchContext, noise_model_of, stage_of_candida
 from ..estimation.gauss_newton import Refit, refit
 from ..model.candidate import Candidate
 from ..model.held_out_gain import gain_of
-from ..noise.floor import residual_rms
+from ..noise.floor import more_than_noise, residual_rms
 from ..noise.whitening import white_noise_model
 from .state import SearchState, held_out_run, runs_seen
 
 STEPS = 40
 
 
+def for_the_free_run(context: SearchContext, state: SearchState) -> None:
+    """Refit the model as it stands under white noise, where it leaves more than noise.
+
+    **Arguments:** `context`; `state`: changed in place, with an effect in it.
+    """
+    if context.white or not more_than_noise(state.fit.residual[0], context.data[0]):
+        return
+    context.progress.stage("refitting for the free run")
+    _keep(context, state, _refitted(context, state, state.fit.candidate))
+
+
 def from_other_modes(
     context: SearchContext, state: SearchState, identification: Identification, records: list[Record]
 ) -> None:
-    """Refit a model with one effect from the record's own modes, and keep it where it leaves less.
+    """Refit a model with one effect from the record's own modes.
 
     **Arguments:** `context`; `state`: changed in place; `identification`: where it began; `records`.
     """
@@ -46,20 +61,7 @@ def from_other_modes(
     model = identification.model.with_matrices(*matrices)
     states = tuple(initial_state(model, r.u, r.y, r.sampling_time, hold=r.hold)[0] for r in records)
     moved = Candidate(context.simulator.setup.entries_of(*matrices), states).with_terms(state.fit.candidate.terms)
-    fit = _refitted(context, state, moved)
-    if fit is None or not _left(context, fit) < np.log(settings.RESTART_RESIDUAL) + _left(context, state.fit):
-        return
-    state.fit, state.stage = fit, stage_of_candidate(context, fit.candidate)
-    last = state.accepted[0]
-    held_out, data = last.gain.held_out, context.data[0]
-    runs = seen = runs_seen(context, state.start.e, fit.residual[0], state.start.e)
-    if held_out:
-        state.runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
-        runs = state.baseline_runs, state.runs, state.baseline_runs
-    floor = residual_rms(fit.residual[0], data) if context.floor is None else context.floor
-    gain = gain_of(*runs, floor, context.names[1], held_out=held_out, rng=context.rng, seen=seen)
-    attempt = dataclasses.replace(last.attempt, fit=fit)
-    state.accepted[0] = dataclasses.replace(last, attempt=attempt, gain=gain, runs=state.runs)
+    _keep(context, state, _refitted(context, state, moved))
 
 
 def _refitted(context: SearchContext, state: SearchState, candidate: Candidate) -> Refit | None:
@@ -71,6 +73,26 @@ def _refitted(context: SearchContext, state: SearchState, candidate: Candidate) 
     return refit(
         context.simulator, fit.candidate, context.data, noise_model_of(context, fit), held=context.held, max_steps=STEPS
     )
+
+
+def _keep(context: SearchContext, state: SearchState, fit: Refit | None) -> None:
+    """Go on with another refit of the model where it leaves less."""
+    if fit is None or not _left(context, fit) < np.log(settings.RESTART_RESIDUAL) + _left(context, state.fit):
+        return
+    state.fit, state.stage = fit, stage_of_candidate(context, fit.candidate)
+    *others, last = state.accepted
+    before, old = (
+        (others[-1].runs, others[-1].attempt.fit.residual[0]) if others else (state.baseline_runs, state.start.e)
+    )
+    held_out, data = last.gain.held_out, context.data[0]
+    runs = seen = runs_seen(context, old, fit.residual[0], state.start.e)
+    if held_out:
+        state.runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
+        runs = before, state.runs, state.baseline_runs
+    floor = residual_rms(fit.residual[0], data) if context.floor is None else context.floor
+    gain = gain_of(*runs, floor, context.names[1], held_out=held_out, rng=context.rng, seen=seen)
+    attempt = dataclasses.replace(last.attempt, fit=fit)
+    state.accepted[-1] = dataclasses.replace(last, attempt=attempt, gain=gain, runs=state.runs)
 
 
 def _left(context: SearchContext, fit: Refit) -> float:
