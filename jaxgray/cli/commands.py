@@ -4,7 +4,7 @@ import dataclasses
 
 import typer
 
-from . import diagnosing, docs, fleet
+from . import diagnosing, docs, fleet, schema
 from .arguments import (
     Channels,
     Excitation,
@@ -210,3 +210,4 @@ def export(exporting: Exporting, talk: Talk) -> None:
 app.command(short_help="List the effects that a diagnosis can name.")(diagnosing.effects)
 app.command(short_help="Diagnose a simulated system of known truth.")(diagnosing.demo)
 app.command(short_help="Open the manual, or write it to a folder.")(docs.docs)
+app.command(short_help="Print the JSON Schema of what is written.")(schema.schema)

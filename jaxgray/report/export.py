@@ -139,19 +139,22 @@ def json_text(obj) -> str:
     return json.dumps(plain(obj), allow_nan=False, ensure_ascii=False, indent=1) + "\n"
 
 
-def plain(obj, place: str = ""):
+def plain(obj):
     """What JSON has words for: numbers, texts, lists, dictionaries; None for NaN and infinite numbers.
-
-    **Arguments:** `obj`; `place`: what it is called in an error; default nothing.
 
     **Raises:** `ValueError` for something that JSON has no word for.
     """
+    return _plain(obj, "")
+
+
+def _plain(obj, place: str):
+    """`place`: what it is called in an error."""
     if obj is None or isinstance(obj, bool | str):
         return obj
     if isinstance(obj, dict):
-        return {str(key): plain(value, f"{place}.{key}") for key, value in obj.items()}
+        return {str(key): _plain(value, f"{place}.{key}") for key, value in obj.items()}
     if isinstance(obj, list | tuple):
-        return [plain(value, f"{place}[{k}]") for k, value in enumerate(obj)]
+        return [_plain(value, f"{place}[{k}]") for k, value in enumerate(obj)]
     if isinstance(obj, int):
         return obj
     if isinstance(obj, float):
@@ -161,7 +164,7 @@ def plain(obj, place: str = ""):
     if hasattr(obj, "__array__"):
         array = np.asarray(obj)
         if array.dtype.kind in "biufU":
-            return plain(array.tolist(), place)
+            return _plain(array.tolist(), place)
     raise ValueError(f"{place.lstrip('.') or 'obj'} is a {type(obj).__name__}; give numbers, texts, lists, arrays.")
 
 
