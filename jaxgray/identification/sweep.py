@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..numerics.data_frames import data_frame
+from ..numerics.linear_algebra import triangle
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
@@ -75,6 +77,33 @@ class Sweep(Shown):
             "damping": self.damping[k],
             "stiffness": self.stiffness[k],
         }
+
+    def to_dataframe(self):
+        """The table as a pandas `DataFrame`, one row a choice.
+
+        **Returns:** `time_constant` [s], `block_rows`; `fit_percent_y1`, …, with held-out records
+        `fit_percent_y1_validation`, …; `mass[0,0]`, …: NaN where a choice gave no stable model.
+
+        **Raises:** `ImportError` without pandas.
+        """
+        fits = {"": self.fit_percent, "_validation": self.validation_fit_percent}
+        entries = [
+            (name, r, c) for name in ("mass", "damping", "stiffness") for r, c in zip(*triangle(self.mass.shape[2]))
+        ]
+        return data_frame(
+            [
+                {"time_constant": float(tau), "block_rows": int(i)}
+                | {
+                    f"fit_percent_{output}{kind}": float(fit[j, k, o])
+                    for kind, fit in fits.items()
+                    if fit is not None
+                    for o, output in enumerate(self.output_names)
+                }
+                | {f"{name}[{r},{c}]": float(getattr(self, name)[j, k, r, c]) for name, r, c in entries}
+                for j, tau in enumerate(self.time_constants)
+                for k, i in enumerate(self.block_rows)
+            ]
+        )
 
     def __repr__(self) -> str:
         where = "estimation" if self.validation_fit_percent is None else "held-out"
