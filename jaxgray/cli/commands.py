@@ -23,7 +23,6 @@ from .arguments import (
 from .finishing import drawn, finish, page, subspace_options
 
 app = typer.Typer(
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     no_args_is_help=False,
