@@ -168,6 +168,20 @@ def sweep(
     a stable model.
 
     **Reference:** Olofsson et al., section on the choice of λ-parameters.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> found = jaxgray.sweep(record, time_constants=[0.05, 0.1], block_rows=[4, 6])
+        >>> found.mass.shape
+        (2, 2, 1, 1)
+        >>> bool(np.all(found.best["fit_percent"] > 99))
+        True
     """
     ready()
     progress = Silent() if progress is None else progress

@@ -38,6 +38,14 @@ def save(result_or_model, path) -> None:
     effects, where it has one); `path`: ending in .json or .npz.
 
     **Raises:** `ValueError` for another ending.
+
+    **Example:**
+
+        >>> import jaxgray
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> jaxgray.save(model, "model.json")
+        >>> float(jaxgray.load("model.json").stiffness[0, 0])
+        80.0
     """
     model = model_of(result_or_model)
     document = {"schema": SCHEMA, **model_document(model)}
@@ -98,6 +106,13 @@ def load(path) -> MechanicalModel:
     **Returns:** a `MechanicalModel`.
 
     **Raises:** `ValueError` when the file is missing or unreadable, or a key or matrix is missing or wrong.
+
+    **Example:**
+
+        >>> import pathlib, jaxgray
+        >>> _ = pathlib.Path("mine.json").write_text('{"mass": [[2.0]], "damping": [[3.0]], "stiffness": [[80.0]]}')
+        >>> jaxgray.load("mine.json").modes().natural_frequency_hz.round(3)
+        array([1.007])
     """
     path = Path(path)
     check_file(path, "model")

@@ -10,11 +10,7 @@ SHARED = "parts.json"
 
 
 def names() -> tuple[str, ...]:
-    """What documents have as their "schema".
-
-    >>> "jaxgray/diagnosis/1" in names()
-    True
-    """
+    """What documents have as their "schema"."""
     found = (re.fullmatch(r"(.+)-(\d+)\.json", file.name) for file in files(__name__).iterdir())
     return tuple(sorted(f"jaxgray/{match[1]}/{match[2]}" for match in found if match))
 
@@ -31,8 +27,11 @@ def schema(name: str) -> dict:
 
     **Raises:** `ValueError` for a name that no document has.
 
-    >>> schema("jaxgray/diagnosis/1")["properties"]["verdict"]["enum"]
-    ['named', 'equivalent', 'partly', 'unexplained', 'noise']
+    **Example:**
+
+        >>> import jaxgray
+        >>> jaxgray.schema("jaxgray/diagnosis/1")["properties"]["verdict"]["enum"]
+        ['named', 'equivalent', 'partly', 'unexplained', 'noise']
     """
     if name not in names():
         raise ValueError(f"name is {name!r}; give one of {', '.join(names())}.")
