@@ -26,8 +26,8 @@ OTHERS = "Others"
 
 INTRODUCTION = """# Python reference
 
-Every name that `import jaxgray` offers, by what it is for; `dir(jaxgray)` lists the same. Names are fetched when they are
-first used, so that the import is quick. All examples run as they stand once 64-bit floats are on:
+Every name that `import jaxgray` offers, by what it is for; `dir(jaxgray)` lists the same. Names are fetched when they
+are first used, so that the import is quick. All examples run as they stand once 64-bit floats are on:
 `jax.config.update("jax_enable_x64", True)`.
 """
 
