@@ -1,6 +1,6 @@
 """A force without a name: a small network beside M, D, K learns it, and M, D, K come out right.
 
-    python examples/learned_force.py [--samples 1500] [--seed 0]
+    python examples/learned_force.py [--samples 1500] [--seed 0] [--gallery FILE]
 
 The magnets of a motor pull its rotor towards every pole, by a law that no catalogue lists: periodic in the angle, with
 sharp flanks. A linear model blames it on mass, damping and stiffness. Here the model of rotor and load is an
@@ -11,6 +11,7 @@ inertia, so that the three keep their meaning, and their standard errors count w
 """
 
 import argparse
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -22,6 +23,7 @@ import scipy.optimize
 from jax.flatten_util import ravel_pytree
 
 import jaxgray
+from jaxgray.manual.gallery import keep
 from jaxgray.mechanics.effects.base import AbstractForceEffect, Parameter, Place, Term
 from jaxgray.mechanics.extended import Plant, extended_run
 
@@ -222,6 +224,52 @@ def run(seed, samples):
         "with_network": nrmse(np.asarray(eqx.filter_jit(layer)(u)), held_out),
         "noise": NOISE / float(np.std(held_out.y)),
         "layer": layer,
+        "held_out": held_out,
+        "runs": {
+            "physics alone": np.asarray(linear.simulate(held_out.u, SAMPLING_TIME)),
+            "with network": np.asarray(eqx.filter_jit(layer)(u)),
+        },
+    }
+
+
+def shown(found):
+    """Title, text, table and curves for the manual's gallery."""
+    rows = [["entry", "truth", "linear model", "with network ± standard error"]]
+    for k, name in enumerate(f"{X}[{i}]" for X in "MDK" for i in ("1,1", "1,2", "2,2")):
+        row = (found[part][k] for part in ("truth", "linear", "joint", "standard_errors"))
+        rows.append("{}|{:g}|{:.4f}|{:.4f} ± {:.4f}".format(name, *row).split("|"))
+    errors = (f"{100 * found[name]:.2f} %" for name in ("noise", "physics_alone", "with_network"))
+    rows.append(["error held out", *(f"{words} {value}" for words, value in zip(("noise", "", ""), errors))])
+    angle = np.linspace(-PITCH, PITCH, 200)
+    phase = 2 * np.pi * angle / PITCH
+    learned = jax.vmap(found["layer"].network)(jnp.stack([jnp.sin(phase), jnp.cos(phase)], axis=1))
+    # A constant of the network is the output offset's as well.
+    forces = {"hidden": hidden_torque(angle), "learned": np.asarray(learned)}
+    laws = [
+        {"label": name, "role": role, "x": angle.tolist(), "y": (force - force.mean()).tolist()}
+        for (name, force), role in zip(forces.items(), ("plain", "law"))
+    ]
+    part = slice(0, 300)
+    time = (SAMPLING_TIME * np.arange(300)).tolist()
+    runs = {"measured": found["held_out"].y} | found["runs"]
+    lines = [
+        {"label": name, "role": role, "x": time, "y": run[part, 0].tolist()}
+        for (name, run), role in zip(runs.items(), ("plain", "second", "law"))
+    ]
+    return {
+        "title": "A force without a name",
+        "text": "The magnets of a motor pull its rotor towards every pole, by a law that no catalogue lists. A network "
+        "beside M, D, K learns it from one record, and M, D, K come out right.",
+        "table": rows,
+        "panels": [
+            {
+                "title": "Torque of the magnets, mean taken off",
+                "x_label": "angle [rad]",
+                "y_label": "torque [N m]",
+                "curves": laws,
+            },
+            {"title": "Rotor, held out", "x_label": "time [s]", "y_label": "angle [rad]", "curves": lines},
+        ],
     }
 
 
@@ -230,6 +278,7 @@ def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=1500)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--gallery", type=Path, help="file for the manual's gallery (default: none)")
     arguments = parser.parse_args(argv)
     found = run(arguments.seed, arguments.samples)
     print("entry      truth   linear model   with network ± standard error")
@@ -240,6 +289,8 @@ def main(argv=None):
         f"error held out: {100 * found['physics_alone']:.2f} % physics alone, {100 * found['with_network']:.2f} % with "
         f"the network, of which {100 * found['noise']:.2f} % is noise"
     )
+    if arguments.gallery is not None:
+        keep(shown(found), arguments.gallery)
     return found
 
 

@@ -1,6 +1,6 @@
 """The paper's simulated system, found again from noisy records, beside the figures the paper published.
 
-    python examples/paper_simulation.py [--samples 20000] [--seed 1] [--out DIR]
+    python examples/paper_simulation.py [--samples 20000] [--seed 1] [--out DIR] [--gallery FILE]
 
 M q̈ + D q̇ + K q = u with two coordinates, random ±1 N steps on both, white noise of 0.3 mm on both outputs.
 The data come from SciPy and from nothing in jaxgray. Prints the errors of every variant, the fit on a second
@@ -19,6 +19,7 @@ import numpy as np
 import scipy.signal
 
 import jaxgray
+from jaxgray.manual.gallery import keep
 
 jax.config.update("jax_enable_x64", True)
 
@@ -75,6 +76,41 @@ def nrmse(measured, simulated):
     return np.linalg.norm(measured - simulated, axis=0) / np.linalg.norm(measured - measured.mean(0), axis=0)
 
 
+def shown(found, refined, validation):
+    """Title, text, table and curves for the manual's gallery."""
+    rows = [["relative error", "M", "D", "K"]]
+    rows += [[name, *(f"{value:.5f}" for value in values)] for name, values in found["errors"].items()]
+    for name in ("paper's map, τ = 0.15 s, i = 10", "refined"):
+        fits = (100 * (1 - value) for value in found["nrmse"][name, "noisy"])
+        rows.append([f"held-out fit of y1, y2: {name}", *(f"{value:.2f} %" for value in fits), ""])
+    part = slice(0, 800)
+    time = (SAMPLING_TIME * np.arange(800)).tolist()
+    runs = (("measured", "plain", validation.y), ("simulated", "law", refined.validation[0].simulated))
+    lines = [{"label": n, "role": role, "x": time, "y": (1e3 * run[part, 0]).tolist()} for n, role, run in runs]
+    table = found["sweeps"]["logarithmic"]
+    taus = table.time_constants.tolist()
+    curves = []
+    for k, role in zip((0, -1), ("second", "law")):
+        fits = np.maximum(np.nan_to_num(np.min(table.validation_fit_percent[:, k], axis=1)), 0.0)
+        curves.append({"label": f"i = {table.block_rows[k]}", "role": role, "x": taus, "y": fits.tolist()})
+    return {
+        "title": "The paper's simulated system",
+        "text": "Two coordinates, white noise of 0.3 mm, the errors that the paper published beside those of its "
+        "method as it stands here, with the exact map, with τ and i found by themselves, and refined. On the right the "
+        "worse output's fit over the time constant of the filters, before refinement.",
+        "table": rows,
+        "panels": [
+            {"title": "y1, held out", "x_label": "time [s]", "y_label": "displacement [mm]", "curves": lines},
+            {
+                "title": "Fit of the start, not below 0",
+                "x_label": "time constant [s]",
+                "y_label": "fit [%]",
+                "curves": curves,
+            },
+        ],
+    }
+
+
 def main(argv=None):
     """Run the example.
 
@@ -86,6 +122,7 @@ def main(argv=None):
     parser.add_argument("--samples", type=int, default=20_000, help="of each record (default 20000)")
     parser.add_argument("--seed", type=int, default=1, help="of inputs and noise (default 1)")
     parser.add_argument("--out", type=Path, help="folder for figures (default: none are drawn)")
+    parser.add_argument("--gallery", type=Path, help="file for the manual's gallery (default: none)")
     arguments = parser.parse_args(argv)
 
     rng = np.random.default_rng(arguments.seed)
@@ -151,6 +188,8 @@ def main(argv=None):
         for name, figure in drawn.items():
             figure.savefig(arguments.out / f"{name}.png", dpi=150)
         print(f"\nFigures: {', '.join(f'{name}.png' for name in drawn)} in {arguments.out}")
+    if arguments.gallery is not None:
+        keep(shown(found, refined, validation), arguments.gallery)
     return found
 
 

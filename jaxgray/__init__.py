@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from .report.exports import to_scipy as to_scipy
     from .report.page import write_report as write_report
     from .report.simulated import write_simulation as write_simulation
+    from .schemas import schema as schema
     from .simulators import FmuSimulator as FmuSimulator
     from .simulators import MujocoSimulator as MujocoSimulator
 
@@ -78,6 +79,7 @@ _HOMES = {
     "report.page": ("write_report",),
     "report.exports": ("export", "to_control", "to_scipy"),
     "report.simulated": ("write_simulation",),
+    "schemas": ("schema",),
     "simulators": ("FmuSimulator", "MujocoSimulator"),
 }
 __all__ = tuple(name for names in _HOMES.values() for name in names)  # noqa: PLE0604
@@ -108,4 +110,5 @@ def __getattr__(name: str):
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    # What a user needs: neither submodules nor what this file is made with.
+    return sorted((*__all__, "__version__"))

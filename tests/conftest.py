@@ -32,17 +32,22 @@ jax.config.update("jax_enable_x64", True)
 # Tracing makes objects by the hundred thousand, none of them garbage yet.
 gc.set_threshold(50_000, 20, 20)
 
+import pytest  # noqa: E402
+from documents import WRITTEN  # noqa: E402
 from shaking import shake_if_asked  # noqa: E402
 
 from jaxgray.diagnosis.model import compile_ahead  # noqa: E402
 from jaxgray.identification.setup import padding  # noqa: E402
 from jaxgray.numerics.stored_programs import FOLDER  # noqa: E402
+from jaxgray.report import export  # noqa: E402
 
 shake_if_asked()
 # Records of 3000 and of 4000 samples share what is compiled.
 padding.LEAST_STEP = 2
 # Both cores have work: what is compiled ahead, and then not needed, would take it from the other worker.
 compile_ahead.cores = lambda: 1
+# All that becomes JSON goes through it; the other modules import it later.
+export.plain = WRITTEN.watch(export.plain)
 
 # Compiling is most of the work, and what one worker has compiled the other reads: files that need the same programs
 # do not start together, and the longest start first.
@@ -65,3 +70,27 @@ def pytest_collection_modifyitems(items):
         return next((k for k, name in enumerate(ORDER) if path.startswith(name)), len(ORDER))
 
     items.sort(key=turn)
+
+
+@pytest.fixture(autouse=True)
+def documents_follow_their_schemas():
+    """Whatever a test writes is valid."""
+    WRITTEN.faults.clear()
+    yield
+    assert not WRITTEN.faults, "\n".join(WRITTEN.faults)
+
+
+def pytest_sessionfinish(session):
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["documents"] = dict(WRITTEN.valid)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    WRITTEN.valid.update(getattr(node, "workeroutput", {}).get("documents", {}))
+
+
+def pytest_terminal_summary(terminalreporter):
+    told = ", ".join(f"{name} {count}" for name, count in sorted(WRITTEN.valid.items()))
+    if told:
+        terminalreporter.write_line(f"valid documents: {told}")

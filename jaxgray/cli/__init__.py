@@ -38,6 +38,9 @@ def main(argv: list[str] | None = None) -> int:
         # Whoever read the output has gone; Python would complain again when it closes the stream.
         sys.stdout = None
         return 0
+    except SystemExit as left:
+        # What puts shell completion in place ends so.
+        return left.code if isinstance(left.code, int) else 0
     except Exception as error:
         if "--verbose" in argv:
             import traceback

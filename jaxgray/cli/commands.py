@@ -4,7 +4,7 @@ import dataclasses
 
 import typer
 
-from . import diagnosing, docs, fleet
+from . import diagnosing, docs, fleet, schema
 from .arguments import (
     Channels,
     Excitation,
@@ -23,7 +23,6 @@ from .arguments import (
 from .finishing import drawn, finish, page, subspace_options
 
 app = typer.Typer(
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     no_args_is_help=False,
@@ -210,3 +209,4 @@ def export(exporting: Exporting, talk: Talk) -> None:
 app.command(short_help="List the effects that a diagnosis can name.")(diagnosing.effects)
 app.command(short_help="Diagnose a simulated system of known truth.")(diagnosing.demo)
 app.command(short_help="Open the manual, or write it to a folder.")(docs.docs)
+app.command(short_help="Print the JSON Schema of what is written.")(schema.schema)

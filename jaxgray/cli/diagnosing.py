@@ -198,7 +198,7 @@ def effects(listing: Listing) -> None:
     prepare()
     from ..report.catalogue import catalogue_document, show_catalogue
 
-    document = catalogue_document() | {"warnings": []}
+    document = catalogue_document()
     finish(document, show_catalogue, Talk(), listing.json, {}, [])
 
 

@@ -135,6 +135,24 @@ def diagnose(
     **Returns:** a `Diagnosis`.
 
     **Raises:** `ValueError` for arguments or data that cannot serve; `ComputationError` when a computation fails.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-2.0, -1.0, 1.0, 2.0], 50), 20)
+        >>> q, v, y = 0.0, 0.0, np.zeros(1000)
+        >>> for k in range(1000):
+        ...     y[k] = q
+        ...     for _ in range(20):
+        ...         v += 0.0005 * (u[k] - 3 * v - 80 * q - 0.3 * np.tanh(v / 1e-3)) / 2
+        ...         q += 0.0005 * v
+        >>> record = jaxgray.Record(u, y + 1e-4 * rng.standard_normal(1000), 0.01)
+        >>> found = jaxgray.diagnose(record, only=["coulomb_friction"])
+        >>> found.verdict, found.findings[0].effect
+        ('named', 'coulomb_friction')
+        >>> round(found.findings[0].parameters["Fc"].value, 1)
+        0.3
     """
     ready()
     relieve()

@@ -5,12 +5,12 @@ import numpy as np
 from ..identification.batch.many import identify_many
 from ..identification.batch.result import Identifications
 from ..identification.refinement.uncertainty import entry_names
+from ..mechanics.matrix_units import matrix_units
 from ..records import Record
 from ..report.export import model_document, plain
 from ..report.identification_rows import MATRICES, fit_rows, matrix_rows, mode_rows
 from ..report.page_parts import Fact, Page, Section, Table, Tables, Words
 from ..report.summary import IDENTIFICATION, antiresonances, modes_of, per_name, record_document
-from ..report.units import matrix_units
 
 
 def identified(records: list[Record], plan: dict, fitting: dict, batch: int) -> list[dict | None]:
@@ -55,6 +55,8 @@ def _document(found: Identifications, k: int, record: Record) -> dict:
         "modes": modes_of(model, covariance),
         "zeros_hz": antiresonances(model),
         "covariance": {"names": list(entry_names(len(names))), "matrix": covariance.tolist()},
+        # The batch leaves these unsaid.
+        **dict.fromkeys(("condition_number", "at_edge", "weak_directions", "unmoved", "hidden", "aic", "bic")),
         "residual_test": {"white": bool(found.white[k]), "input_explained": None, "feedback": None},
         "structure_test": None,
         "noise": {"form": "output-error"},

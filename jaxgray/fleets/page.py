@@ -56,7 +56,7 @@ def population_page(rows: list[dict], task: str, drift: tuple[Section, ...] = ()
     facts = [Fact("Records", str(len(rows)), f"of {len(machines)} machines" if machines else "")]
     facts += [Fact(WORDS.get(outcome, outcome).capitalize(), str(count)) for outcome, count in outcomes.most_common()]
     document = {
-        "schema": "jaxgray/fleet/1",
+        "schema": "jaxgray/fleet-page/1",
         "task": task,
         "outcomes": dict(outcomes),
         "effects": [{"effect": e, "place": p, "records": count} for (e, p), count in effects.most_common()],

@@ -135,6 +135,23 @@ def fleet(
 
     **Raises:** `ValueError` for arguments that cannot serve; `OSError` where the store cannot be written any more;
     `Lost`, a `RuntimeError`, where the workers are gone. What had been done by then is kept.
+
+    **Example:**
+
+        >>> import concurrent.futures
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> for name, stiffness in (("a", 80.0), ("b", 90.0)):
+        ...     model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[stiffness]])
+        ...     u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)[:, None]
+        ...     np.savez(f"{name}.npz", F=u[:, 0], x=model.simulate(u, 0.01)[:, 0] + 1e-4 * rng.standard_normal(1000))
+        >>> options = {"inputs": "F", "outputs": "x", "reading": {"sampling_time": 0.01}}
+        >>> with concurrent.futures.ThreadPoolExecutor(1) as client:
+        ...     found = jaxgray.fleet("*.npz", out="fleet", client=client, **options)
+        >>> found.outcomes
+        {'identified': 2}
+        >>> round(found.result("b.npz")["document"]["model"]["stiffness"][0][0])
+        90
     """
     if task not in TASKS:
         raise ValueError(f"task is {task!r}; give {' or '.join(TASKS)}.")

@@ -112,6 +112,18 @@ def estimate(
 
     **Reference:** Olofsson et al., steps 1 to 6 and equations (22) to (24); Blondel et al., *Efficient and modular
     implicit differentiation*.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> found = jaxgray.estimate(record.u, record.y, 0.01, 0.05, refinement_steps=3)
+        >>> round(float(found.mass[0, 0]), 1), round(float(found.stiffness[0, 0]))
+        (2.0, 80)
     """
     ready()
     u, y = _channels("u", u), _channels("y", y)
@@ -333,6 +345,19 @@ class RowWeights(AbstractWeight):
     """W1 = diag(rows) in the Laguerre family: a weight for every filtered output, to be learned.
 
     **Arguments:** `rows` (block rows × outputs); ones are MOESP. Only their ratios matter.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> weight = jaxgray.RowWeights(np.linspace(1.0, 0.5, 6)[:, None])
+        >>> found = jaxgray.estimate(record.u, record.y, 0.01, 0.05, weight=weight)
+        >>> round(float(found.mass[0, 0]), 1)
+        2.0
     """
 
     rows: Float[Array, "block_rows outputs"]

@@ -98,6 +98,20 @@ def identify(
 
     **Reference:** Olofsson, Sörnmo, Robertsson & Johansson, *Continuous-time gray-box identification of
     mechanical systems using subspace-based identification methods*.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> found = jaxgray.identify(record)
+        >>> round(float(found.mass[0, 0]), 1), round(float(found.stiffness[0, 0]))
+        (2.0, 80)
+        >>> bool(abs(found.damping[0, 0] - 3) < 4 * found.standard_errors["damping"][0, 0])
+        True
     """
     ready()
     relieve()

@@ -7,7 +7,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..mechanics.matrix_units import matrix_units
 from ..mechanics.model import MechanicalModel
+from ..numerics.data_frames import data_frame
+from ..numerics.linear_algebra import triangle
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS
 from ..numerics.text import entry_text
@@ -116,6 +119,27 @@ class Identification(Shown):
     def rmse(self) -> dict[str, dict[str, float]]:
         """Root mean square residual per output, likewise."""
         return self._per_output("rmse")
+
+    def to_dataframe(self):
+        """Entries of mass, damping and stiffness as a pandas `DataFrame`, in the order of `covariance`.
+
+        **Returns:** a row for each, named as in `fix` ("mass[0,0]"): `value`; `standard_error`, NaN where it is not
+        known; `unit`, empty where the record has none; with hidden coordinates `kind` ("set", "canonical", "open" or
+        "physical").
+
+        **Raises:** `ImportError` without pandas.
+        """
+        errors, units, rows = self.standard_errors, matrix_units(self.model), []
+        for name in ("mass", "damping", "stiffness"):
+            for r, c in zip(*triangle(self.model.dofs)):
+                row = {
+                    "parameter": f"{name}[{r},{c}]",
+                    "value": float(getattr(self, name)[r, c]),
+                    "standard_error": float("nan") if errors is None else float(errors[name][r, c]),
+                    "unit": "" if units is None else units[name][r][c],
+                }
+                rows.append(row if self.hidden is None else row | {"kind": self.hidden.kind(name, r, c)})
+        return data_frame(rows, index="parameter")
 
     def judged_on(self, records: list[Record]) -> "Identification":
         """The same model with its fit on these records, instead of on the pieces it was estimated from."""

@@ -82,6 +82,18 @@ def stabilisation(
     compressed.
 
     **Reference:** Peeters & De Roeck, Mechanical Systems and Signal Processing 13 (1999) 855-878.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> found = jaxgray.stabilisation(record)
+        >>> round(float(np.median(found.frequency_hz[found.stable])), 1)
+        1.0
     """
     ready()
     (record,), _ = uniform_records([record], [], Silent())

@@ -256,6 +256,21 @@ def compress(
 
     **Raises:** `ValueError` for arguments or data that cannot serve; `ComputationError` where the first chunk does not
     give a model, unless τ and i are given.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> table = np.array(list(zip(u, y[:, 0])), dtype=[("F", float), ("x", float)])
+        >>> np.save("long.npy", table)
+        >>> filters = {"time_constants": 0.05, "block_rows": 6}
+        >>> found = jaxgray.compress("long.npy", inputs="F", outputs="x", sampling_time=0.01, **filters)
+        >>> found.samples, round(float(found.model().mass[0, 0]), 1)
+        (1000, 2.0)
     """
     ready()
     check_hold(hold)

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..numerics.data_frames import data_frame
+from ..numerics.linear_algebra import triangle
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
@@ -77,6 +79,33 @@ class Sweep(Shown):
             "stiffness": self.stiffness[k],
         }
 
+    def to_dataframe(self):
+        """The table as a pandas `DataFrame`, one row a choice.
+
+        **Returns:** `time_constant` [s], `block_rows`; `fit_percent_y1`, …, with held-out records
+        `fit_percent_y1_validation`, …; `mass[0,0]`, …: NaN where a choice gave no stable model.
+
+        **Raises:** `ImportError` without pandas.
+        """
+        fits = {"": self.fit_percent, "_validation": self.validation_fit_percent}
+        entries = [
+            (name, r, c) for name in ("mass", "damping", "stiffness") for r, c in zip(*triangle(self.mass.shape[2]))
+        ]
+        return data_frame(
+            [
+                {"time_constant": float(tau), "block_rows": int(i)}
+                | {
+                    f"fit_percent_{output}{kind}": float(fit[j, k, o])
+                    for kind, fit in fits.items()
+                    if fit is not None
+                    for o, output in enumerate(self.output_names)
+                }
+                | {f"{name}[{r},{c}]": float(getattr(self, name)[j, k, r, c]) for name, r, c in entries}
+                for j, tau in enumerate(self.time_constants)
+                for k, i in enumerate(self.block_rows)
+            ]
+        )
+
     def __repr__(self) -> str:
         where = "estimation" if self.validation_fit_percent is None else "held-out"
         worst = np.min(self.judged_by, axis=2)
@@ -141,6 +170,20 @@ def sweep(
     a stable model.
 
     **Reference:** Olofsson et al., section on the choice of λ-parameters.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> found = jaxgray.sweep(record, time_constants=[0.05, 0.1], block_rows=[4, 6])
+        >>> found.mass.shape
+        (2, 2, 1, 1)
+        >>> bool(np.all(found.best["fit_percent"] > 99))
+        True
     """
     ready()
     progress = Silent() if progress is None else progress

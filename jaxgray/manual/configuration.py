@@ -5,7 +5,7 @@ from pathlib import Path
 from .effect_pages import navigation
 
 GROUPS = {
-    "First steps": ("start.md", "choosing.md", "files.md", "commands.md"),
+    "First steps": ("start.md", "gallery.md", "choosing.md", "files.md", "commands.md"),
     "Reading an answer": ("verdicts.md", "results.md", "diagnosis.md", "accuracy.md", "limits.md"),
     "Going further": ("hidden.md", "many.md", "learning.md", "own_effect.md"),
     "Looking up": ("reference.md", "method.md", "glossary.md", "changes.md"),

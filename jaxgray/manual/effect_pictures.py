@@ -59,17 +59,22 @@ def picture(effect: AbstractEffect) -> Picture:
     """
     with jax.enable_x64(True):
         left, right = panels(effect)
+    words = f"Left: {left.title.lower()}. Right: {right.title.lower()}."
+    return Picture(drawn((left, right)), words)
+
+
+def drawn(panels: tuple[Panel, ...]) -> bytes:
+    """Two panels side by side as SVG, the same bytes every time."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 3.4))
         FigureCanvasSVG(figure)
         # Fixed margins: finding them would take half of the time.
         figure.subplots_adjust(left=0.085, right=0.985, bottom=0.14, top=0.79, wspace=0.24)
-        for axes, panel in zip(figure.subplots(1, 2), (left, right)):
+        for axes, panel in zip(figure.subplots(1, 2), panels):
             _draw(axes, panel)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    words = f"Left: {left.title.lower()}. Right: {right.title.lower()}."
-    return Picture(buffer.getvalue(), words)
+    return buffer.getvalue()
 
 
 def _draw(axes: Axes, panel: Panel) -> None:

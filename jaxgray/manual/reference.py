@@ -7,7 +7,16 @@ SECTIONS = {
     "Identification": ("identify", "Identification", "sweep", "Sweep", "stabilisation", "Stabilisation"),
     "Diagnosis": ("diagnose", "Diagnosis", "CATALOGUE"),
     "Models": ("MechanicalModel", "StateSpace", "Force", "BaseAcceleration", "BaseDisplacement", "energy_balance"),
-    "Files and exports": ("load", "save", "export", "to_control", "to_scipy", "write_report", "write_simulation"),
+    "Files and exports": (
+        "load",
+        "save",
+        "export",
+        "to_control",
+        "to_scipy",
+        "write_report",
+        "write_simulation",
+        "schema",
+    ),
     "Many and long records": ("identify_many", "Identifications", "fleet", "compress", "CompressedRecord"),
     "Inside other programs": ("estimate", "Estimate", "RowWeights", "RESULTS", "ComputationError"),
     "Simulators of other programs": ("FmuSimulator", "MujocoSimulator"),
@@ -17,7 +26,9 @@ OTHERS = "Others"
 
 INTRODUCTION = """# Python reference
 
-Every name that `import jaxgray` offers. Names are fetched when they are first used, so that the import is quick.
+Every name that `import jaxgray` offers, by what it is for; `dir(jaxgray)` lists the same. Names are fetched when they
+are first used, so that the import is quick. All examples run as they stand once 64-bit floats are on:
+`jax.config.update("jax_enable_x64", True)`.
 """
 
 

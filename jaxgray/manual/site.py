@@ -86,12 +86,14 @@ def _write_sources(work: Path) -> None:
     """The pages and the configuration, side by side."""
     from .configuration import configuration
     from .effect_pages import write_effect_pages
+    from .gallery import write_gallery
     from .reference import reference_page
 
     pages = work / "pages"
     shutil.copytree(PAGES, pages)
     shutil.copytree(ASSETS, pages / "assets")
     write_effect_pages(pages / "effects")
+    write_gallery(pages)
     (pages / "reference.md").write_text(reference_page(), encoding="utf-8")
     # JSON is YAML too.
     (work / "mkdocs.yml").write_text(json.dumps(configuration(HOME.parents[1])), encoding="utf-8")

@@ -66,6 +66,13 @@ class Force(AbstractDrive):
     """Forces E u on the coordinates: M q̈ + D q̇ + K q = E u.
 
     **Arguments:** `input_map` (E, dofs × inputs), entry ±1 where an input acts.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> drive = jaxgray.Force(np.array([[1.0, 0.0], [0.0, -1.0]]))  # u1 on q1, u2 against q2
+        >>> drive.inputs
+        2
     """
 
     input_map: Float[Array, "dofs inputs"]
@@ -108,6 +115,14 @@ class BaseAcceleration(AbstractDrive):
     **Arguments:** `direction` (r, dofs × inputs): displacement of each coordinate for a unit rigid motion of
     the base; `relative`: whether the outputs are measured relative to the base. Absolute outputs must be
     accelerations, since the absolute displacement needs the base displacement.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> drive = jaxgray.BaseAcceleration(np.ones((2, 1)), relative=True)
+        >>> model = jaxgray.MechanicalModel(np.eye(2), np.eye(2), 100 * np.eye(2), drive=drive)
+        >>> model.inputs, model.outputs
+        (1, 2)
     """
 
     direction: Float[Array, "dofs inputs"]
@@ -154,6 +169,15 @@ class BaseDisplacement(AbstractDrive):
 
     **Arguments:** `direction` (r, dofs × inputs), as for `BaseAcceleration`; `relative`: whether the outputs
     are q − r x. Acceleration, and relative velocity, would need a derivative of the input.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> drive = jaxgray.BaseDisplacement(np.ones((2, 1)))
+        >>> model = jaxgray.MechanicalModel(np.eye(2), np.eye(2), 100 * np.eye(2), drive=drive)
+        >>> still = model.simulate(np.ones((5000, 1)), 0.01)[-1]  # long after, both stand where the base does
+        >>> np.asarray(still).round(6)
+        array([1., 1.])
     """
 
     direction: Float[Array, "dofs inputs"]

@@ -124,6 +124,18 @@ def energy_balance(model: MechanicalModel, record: Record, *, x0=None) -> Energy
 
     **Raises:** `ValueError` where the input is a measured base displacement, whose work takes the force on the base,
     or where the arguments do not fit; `ComputationError` where the motion grows without bound.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> found = jaxgray.energy_balance(model, record)
+        >>> bool(found.error < 1e-6), bool(found.damped > 0)
+        (True, True)
     """
     if isinstance(model.drive, BaseDisplacement):
         raise ValueError("model is driven by a base displacement, whose work no record shows; give forces.")

@@ -45,6 +45,17 @@ class MechanicalModel(AbstractMechanicalModel):
     part; `hidden`: how many coordinates, the last ones, no output measures, or their names (default none; h1, h2, …).
 
     **Raises:** `ValueError` when shapes or names do not fit together.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> M, D = np.diag([2.0, 1.0]), np.diag([3.0, 1.0])
+        >>> K = np.array([[80.0, -40.0], [-40.0, 40.0]])
+        >>> model = jaxgray.MechanicalModel(M, D, K, drive=jaxgray.Force(np.array([[1.0], [0.0]])))
+        >>> model.modes().natural_frequency_hz.round(3)
+        array([0.545, 1.315])
+        >>> model.simulate(np.ones((500, 1)), 0.01).shape
+        (500, 2)
     """
 
     mass: Float[Array, "dofs dofs"]

@@ -22,6 +22,13 @@ class StateSpace(eqx.Module):
     """ẋ = A x + B u, y = C x + D u; or x⁺ = A x + B u once sampled.
 
     **Arguments:** `A`, `B`, `C`, `D`; `sampling_time` [s], or None in continuous time.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> system = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]]).state_space()
+        >>> np.linalg.eigvals(np.asarray(system.A)).round(3)
+        array([-0.75+6.28j, -0.75-6.28j])
     """
 
     A: Float[Array, "states states"]

@@ -63,7 +63,7 @@ def read_record(
     own_times: bool | None = None,
     also: str | Sequence[str] = (),
 ) -> Record:
-    """Read a record from csv (tsv, txt, dat), npz, npy, mat, parquet, hdf5 or uff, or take it from a table in memory.
+    r"""Read a record from csv (tsv, txt, dat), npz, npy, mat, parquet, hdf5 or uff, or take it from a table in memory.
 
     Headers may carry units, `force [N]` or `force (N)`, which are stripped from the name; time in `ms`, `µs`,
     `min` or `h` becomes seconds. Columns of a 2-D array `u` are `u[0]`, `u[1]`, …. Rows that are missing from
@@ -92,6 +92,15 @@ def read_record(
     **Returns:** a `Record`.
 
     **Raises:** `ValueError` where file or arguments do not fit, `ImportError` naming the extra to install.
+
+    **Example:**
+
+        >>> import pathlib, jaxgray
+        >>> rows = "\n".join(f"{0.01 * k:.2f},{k % 7},{k % 5}" for k in range(20))
+        >>> _ = pathlib.Path("record.csv").write_text(f"t [s],F [N],x [m]\n{rows}\n")
+        >>> record = jaxgray.read_record("record.csv", inputs="F", outputs="x")
+        >>> record.samples, round(record.sampling_time, 6), record.output_units
+        (20, 0.01, ('m',))
     """
     inputs, outputs = _name_list("inputs", inputs), _name_list("outputs", outputs)
     table, clock = _open(path, delimiter, decimal), None

@@ -46,6 +46,13 @@ class Record:
     - `stamps`: rows at times of their own; default none. `Record.from_stamps` makes them.
 
     **Raises:** `ValueError` where an argument does not fit, saying which and what to do.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> record = jaxgray.Record(np.ones(100), np.zeros((100, 2)), 0.01, output_names=("base", "tip"))
+        >>> record.samples, record.inputs, record.output_names
+        (100, 1, ('base', 'tip'))
     """
 
     u: Float[np.ndarray, "samples inputs"]

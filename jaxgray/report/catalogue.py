@@ -54,6 +54,7 @@ def catalogue_document() -> dict:
         "record_findings": [
             {"id": id, "name": name_of(id), "signature": signature} for id, signature in RECORD_FINDINGS.items()
         ],
+        "warnings": [],
     }
 
 

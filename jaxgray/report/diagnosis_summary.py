@@ -5,10 +5,10 @@ import numpy as np
 from ..diagnosis.findings import Estimate, Finding, Gain, ModelSummary, NextExperiment, SimulatedOutputs
 from ..diagnosis.result import Diagnosis
 from ..mechanics.energy import EnergyBalance
+from ..mechanics.matrix_units import matrix_units
 from .export import model_document, plain
 from .summary import record_document
 from .terms import term_document
-from .units import matrix_units
 
 DIAGNOSIS = "jaxgray/diagnosis/1"
 

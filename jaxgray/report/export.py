@@ -38,6 +38,14 @@ def save(result_or_model, path) -> None:
     effects, where it has one); `path`: ending in .json or .npz.
 
     **Raises:** `ValueError` for another ending.
+
+    **Example:**
+
+        >>> import jaxgray
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> jaxgray.save(model, "model.json")
+        >>> float(jaxgray.load("model.json").stiffness[0, 0])
+        80.0
     """
     model = model_of(result_or_model)
     document = {"schema": SCHEMA, **model_document(model)}
@@ -98,6 +106,13 @@ def load(path) -> MechanicalModel:
     **Returns:** a `MechanicalModel`.
 
     **Raises:** `ValueError` when the file is missing or unreadable, or a key or matrix is missing or wrong.
+
+    **Example:**
+
+        >>> import pathlib, jaxgray
+        >>> _ = pathlib.Path("mine.json").write_text('{"mass": [[2.0]], "damping": [[3.0]], "stiffness": [[80.0]]}')
+        >>> jaxgray.load("mine.json").modes().natural_frequency_hz.round(3)
+        array([1.007])
     """
     path = Path(path)
     check_file(path, "model")
@@ -139,19 +154,22 @@ def json_text(obj) -> str:
     return json.dumps(plain(obj), allow_nan=False, ensure_ascii=False, indent=1) + "\n"
 
 
-def plain(obj, place: str = ""):
+def plain(obj):
     """What JSON has words for: numbers, texts, lists, dictionaries; None for NaN and infinite numbers.
-
-    **Arguments:** `obj`; `place`: what it is called in an error; default nothing.
 
     **Raises:** `ValueError` for something that JSON has no word for.
     """
+    return _plain(obj, "")
+
+
+def _plain(obj, place: str):
+    """`place`: what it is called in an error."""
     if obj is None or isinstance(obj, bool | str):
         return obj
     if isinstance(obj, dict):
-        return {str(key): plain(value, f"{place}.{key}") for key, value in obj.items()}
+        return {str(key): _plain(value, f"{place}.{key}") for key, value in obj.items()}
     if isinstance(obj, list | tuple):
-        return [plain(value, f"{place}[{k}]") for k, value in enumerate(obj)]
+        return [_plain(value, f"{place}[{k}]") for k, value in enumerate(obj)]
     if isinstance(obj, int):
         return obj
     if isinstance(obj, float):
@@ -161,7 +179,7 @@ def plain(obj, place: str = ""):
     if hasattr(obj, "__array__"):
         array = np.asarray(obj)
         if array.dtype.kind in "biufU":
-            return plain(array.tolist(), place)
+            return _plain(array.tolist(), place)
     raise ValueError(f"{place.lstrip('.') or 'obj'} is a {type(obj).__name__}; give numbers, texts, lists, arrays.")
 
 

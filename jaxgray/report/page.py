@@ -30,6 +30,19 @@ def write_report(result: Identification | Diagnosis, path, *, notes: tuple[str, 
     from reading the record, put before the warnings of the result; default none.
 
     **Raises:** `ValueError` for another kind of result, or a folder that is not there.
+
+    **Example:**
+
+        >>> import pathlib
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> jaxgray.write_report(jaxgray.identify(record), "report.html")
+        >>> pathlib.Path("report.html").read_text(encoding="utf-8").lstrip()[:15].lower()
+        '<!doctype html>'
     """
     write_whole(html_of(result, notes).encode(), path)
 

@@ -18,6 +18,19 @@ def write_simulation(result_or_model, record: Record, path) -> None:
 
     **Raises:** `ValueError` where there is no model, model and record do not fit, or the folder is not there;
     `ComputationError` where the motion is not finite.
+
+    **Example:**
+
+        >>> import pathlib
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> jaxgray.write_simulation(model, record, "simulation.csv")
+        >>> print(pathlib.Path("simulation.csv").read_text().splitlines()[0])
+        time [s],y1 measured,y1 simulated,y1 residual
     """
     run = fitted_run(model_of(result_or_model), record).simulated
     write_whole(columns_text(simulation_columns(record, run)).encode(), path)

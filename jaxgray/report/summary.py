@@ -8,13 +8,13 @@ from jaxtyping import Float
 from ..identification.result import Identification
 from ..identification.sweep import Sweep
 from ..identification.validation.residuals import Fit
+from ..mechanics.matrix_units import matrix_units
 from ..mechanics.modal_uncertainty import antiresonance_errors, mode_errors
 from ..mechanics.model import MechanicalModel
 from ..mechanics.zeros import zeros_of_pairs
 from ..numerics.linear_algebra import triangle
 from ..records import Record
 from .export import model_document
-from .units import matrix_units
 
 IDENTIFICATION = "jaxgray/identification/1"
 SWEEP = "jaxgray/sweep/1"

@@ -35,6 +35,19 @@ class MujocoSimulator:
 
     **Raises:** `ValueError` for a file that MuJoCo does not read, or that does not fit the record; `ImportError` with
     what to install where MuJoCo is missing.
+
+    **Example:**
+
+        >>> import pathlib
+        >>> import numpy as np, jaxgray
+        >>> _ = pathlib.Path("cart.xml").write_text('''
+        ... <mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" damping="3" stiffness="80"/>
+        ... <geom size="0.1" mass="2"/></body></worldbody><actuator><motor name="F" joint="x"/></actuator></mujoco>''')
+        >>> record = jaxgray.Record(np.ones(500), np.zeros(500), 0.01, input_names=["F"], output_names=["x"])
+        >>> simulator = jaxgray.MujocoSimulator("cart.xml", record)
+        >>> y = simulator(record.u, np.zeros((500, 1)), simulator.numbers)
+        >>> y[-1].round(3)  # F/k
+        array([0.012])
     """
 
     def __init__(self, path: str | Path, record: Record, numbers: Iterable[str] | Mapping[str, float] | None = None):

@@ -3,6 +3,12 @@
 import concurrent.futures
 
 import pytest
+from documents import WRITTEN
+
+from jaxgray.fleets.store import Store
+
+# What workers of their own have written is seen when it is read.
+Store.read = WRITTEN.watch(Store.read)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import pytest
 from jaxgray.fleets import store as stores
 from jaxgray.fleets.store import Store
 from jaxgray.fleets.tasks import Options, batches, content_hash, key_of, listed
+from jaxgray.fleets.worker import failed_result
 from jaxgray.numerics.whole_files import PART
 
 
@@ -21,11 +22,15 @@ def store(tmp_path):
     return made
 
 
+def failed(reason):
+    return failed_result("a.csv", "identify", "Killed", reason)
+
+
 def test_a_result_comes_back_and_the_same_key_twice_is_harmless(store):
-    for value in (1, 2):
-        store.write("k", {"document": {"x": value}, "failure": None})
+    for reason in ("first", "second"):
+        store.write("k", failed(reason))
     assert store.keys() == {"k"}
-    assert store.read("k")["document"] == {"x": 2}
+    assert store.read("k")["failure"]["reason"] == "second"
     store.remove("k")
     assert store.keys() == set() and store.read("k") is None
 
@@ -36,16 +41,16 @@ def test_what_is_not_whole_is_not_there(store):
 
 
 def test_a_failed_write_leaves_the_old_result_and_no_file_beside(store, monkeypatch):
-    store.write("k", {"document": 1})
+    store.write("k", failed("first"))
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(stores.os, "fsync", full)
     with pytest.raises(OSError, match="No space left") as caught:
-        store.write("k", {"document": 2})
+        store.write("k", failed("second"))
     assert caught.value.filename.endswith("k.json")
-    assert store.read("k")["document"] == 1
+    assert store.read("k")["failure"]["reason"] == "first"
     assert [path.name for path in store.results.iterdir()] == ["k.json"]
 
 

@@ -2,12 +2,14 @@
 
 import html.parser
 import importlib.metadata
+import json
 import re
 import subprocess
 import sys
 import urllib.parse
 
 import pytest
+from documents import validator
 
 import jaxgray
 from jaxgray.cli import main
@@ -53,7 +55,8 @@ def pages(built):
 
 
 def test_the_folder_holds_the_manual_alone(built):
-    assert (built / "index.html").exists() and (built / site.MARK).exists()
+    assert (built / "index.html").exists()
+    validator(site.SCHEMA).validate(json.loads((built / site.MARK).read_text()))
     assert [path.name for path in built.parent.iterdir()] == ["manual"]
 
 

@@ -54,7 +54,7 @@ def test_schema(model, tmp_path):
     ("wrap", "stiffness"),
     [
         (lambda a, b: a, 100.0),
-        (lambda a, b: {"schema": "jaxgray/identification/1", "model": a, "fit_percent": {}}, 100.0),
+        (lambda a, b: {"model": a, "fit_percent": {}}, 100.0),
         (lambda a, b: {"baseline": {"model": a}, "extended": None}, 100.0),
         (lambda a, b: {"baseline": {"model": a}, "extended": {"model": b}}, 90.0),
     ],

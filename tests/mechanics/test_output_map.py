@@ -8,9 +8,9 @@ import jaxgray
 from jaxgray.mechanics.drives import BaseAcceleration, Force
 from jaxgray.mechanics.effects import CATALOGUE
 from jaxgray.mechanics.effects.base import Term, places_of
+from jaxgray.mechanics.matrix_units import matrix_units
 from jaxgray.report.export import load, model_document, save
 from jaxgray.report.exports.arrays import arrays_of
-from jaxgray.report.units import matrix_units
 
 M = np.diag([2.0, 1.0, 0.5])
 D = np.array([[3.0, -1.0, 0.0], [-1.0, 2.0, -0.5], [0.0, -0.5, 1.0]])

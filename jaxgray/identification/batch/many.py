@@ -81,6 +81,18 @@ def identify_many(
 
     **Raises:** `ValueError` for arguments or records that do not go together; `ComputationError` when no start can
     be found for the longest records.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> found = jaxgray.identify_many([record, record], time_constants=[0.05], block_rows=[6])
+        >>> found.successful.tolist(), found.mass[:, 0, 0].round(1).tolist()
+        ([True, True], [2.0, 2.0])
     """
     ready()
     progress = Silent() if progress is None else progress

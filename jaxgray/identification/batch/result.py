@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from ...mechanics.drives import AbstractDrive
 from ...mechanics.model import MechanicalModel
+from ...numerics.data_frames import data_frame
 from ...numerics.linear_algebra import triangle
 from ...numerics.outcomes import RESULTS
 
@@ -80,6 +81,35 @@ class Identifications:
             input_units=self.input_units,
             output_units=self.output_units,
         )
+
+    def to_dataframe(self):
+        """All records as a pandas `DataFrame`, one row a record.
+
+        **Returns:** `successful`; `details` in words; `white`; `alone`; `time_constant` [s], `block_rows`;
+        `fit_percent_y1`, …, `rmse_y1`, …; `mass[0,0]`, `mass[0,0]_error`, …: value and standard error of every entry,
+        NaN where a record has no model.
+
+        **Raises:** `ImportError` without pandas.
+        """
+        errors, good = self.standard_errors, self.successful
+        rows = []
+        for k in range(len(self)):
+            row = {
+                "successful": bool(good[k]),
+                "details": self.details[k] or ("" if good[k] else RESULTS[self.results[k]]),
+                "white": bool(self.white[k]),
+                "alone": bool(self.alone[k]),
+                "time_constant": float(self.time_constant[k]),
+                "block_rows": float(self.block_rows[k]),
+            }
+            for word in ("fit_percent", "rmse"):
+                row |= {f"{word}_{name}": float(x) for name, x in zip(self.output_names, getattr(self, word)[k])}
+            for name in ("mass", "damping", "stiffness"):
+                for r, c in zip(*triangle(self.mass.shape[1])):
+                    value, error = float(getattr(self, name)[k, r, c]), float(errors[name][k, r, c])
+                    row |= {f"{name}[{r},{c}]": value, f"{name}[{r},{c}]_error": error}
+            rows.append(row)
+        return data_frame(rows)
 
     def __repr__(self) -> str:
         good = self.successful

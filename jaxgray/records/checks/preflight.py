@@ -48,6 +48,20 @@ def preflight(record: Record, *, relations: bool = True) -> list[RecordFinding]:
         True. Never where rows lie more than half a step from a uniform grid.
 
     **Returns:** the `RecordFinding`s, worst first; empty for a clean record.
+
+    **Example:**
+
+        >>> import numpy as np, jaxgray
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.choice([-1.0, 1.0], 50), 20)
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> y = np.asarray(model.simulate(u[:, None], 0.01)) + 1e-4 * rng.standard_normal((1000, 1))
+        >>> record = jaxgray.Record(u, y, 0.01)
+        >>> jaxgray.preflight(record)
+        []
+        >>> clipped = jaxgray.Record(u, np.minimum(y, np.quantile(y, 0.8)), 0.01)
+        >>> [finding.effect for finding in jaxgray.preflight(clipped)]
+        ['sensor_clipping']
     """
     # Asked at every stage of a diagnosis.
     relations = relations and (record.stamps is None or record.stamps.jitter <= NEAR)

@@ -36,6 +36,15 @@ def export(
     - `linear`: leave out effects that are not linear; in `.json` and `.npz` all but errors of the matrices' entries.
 
     **Raises:** `ValueError` for another ending, or a model that the format cannot hold.
+
+    **Example:**
+
+        >>> import pathlib
+        >>> import jaxgray
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> jaxgray.export(model, "model.xml")
+        >>> "<mujoco" in pathlib.Path("model.xml").read_text()
+        True
     """
     model = model_of(result_or_model)
     ending = Path(path).suffix.lower()

@@ -19,6 +19,14 @@ def to_scipy(model, *, sampling_time: float | None = None, hold: str = "zero", l
     - `linear`: leave out effects that are not linear; default False, which refuses them.
 
     **Raises:** `ValueError` where an argument does not fit, or the model has effects that are not linear.
+
+    **Example:**
+
+        >>> import jaxgray
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> jaxgray.to_scipy(model).A
+        array([[  0. ,   1. ],
+               [-40. ,  -1.5]])
     """
     import scipy.signal
 
@@ -33,6 +41,13 @@ def to_control(model, *, sampling_time: float | None = None, hold: str = "zero",
     **Arguments:** as for `to_scipy`: `model`, `sampling_time`, `hold`, `linear`.
 
     **Raises:** as `to_scipy`, and `ImportError` without python-control.
+
+    **Example:**
+
+        >>> import jaxgray
+        >>> model = jaxgray.MechanicalModel([[2.0]], [[3.0]], [[80.0]])
+        >>> jaxgray.to_control(model).poles().round(3)
+        array([-0.75+6.28j, -0.75-6.28j])
     """
     try:
         import control

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..mechanics.drives import Force
-from ..mechanics.model import MechanicalModel
-from ..mechanics.units import as_factor, displacement_unit
+from .drives import Force
+from .model import MechanicalModel
+from .units import as_factor, displacement_unit
 
 
 def _quotient(over: str, under: str) -> str:
