@@ -3,6 +3,7 @@
 import abc
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics.namespace import namespace
@@ -10,6 +11,20 @@ from .statespace import StateSpace
 
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 """Time derivatives between a measured quantity and the displacement."""
+
+
+def as_matrix(given):
+    """Nested lists as an array; arrays, traced ones among them, as they are.
+
+    **Raises:** `ValueError` where it has no rows of equal length.
+    """
+    try:
+        matrix = np.asarray(given, float) if isinstance(given, (list, tuple)) else given
+    except (TypeError, ValueError):
+        matrix = None
+    if matrix is None or getattr(matrix, "ndim", 2) != 2:
+        raise ValueError(f"input_map is {given!r}; give a row per coordinate with an entry per input, as [[1.0, 0.0]].")
+    return matrix
 
 
 class AbstractDrive(eqx.Module):
@@ -75,7 +90,7 @@ class Force(AbstractDrive):
         2
     """
 
-    input_map: Float[Array, "dofs inputs"]
+    input_map: Float[Array, "dofs inputs"] = eqx.field(converter=as_matrix)
 
     @property
     def inputs(self):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.statespace import continuous_matrix, hold_matrices, sampled
 
 H = 0.05
@@ -76,3 +77,10 @@ def test_time_unit_leaves_the_samples_alone(model):
         return sampled(model.state_space(T * unit), 1 / unit, "linear").response(u)
 
     np.testing.assert_allclose(response(jnp.asarray(1.0)), response(jnp.asarray(20.0)), rtol=1e-9, atol=1e-13)
+
+
+def test_an_input_map_may_be_lists():
+    assert np.array_equal(Force([[1.0, 0.0], [0.0, -1.0]]).input_map, np.diag([1.0, -1.0]))
+    for wrong in ([1.0, 2.0], [[1.0], [2.0, 3.0]], [["a"]], np.ones(2)):
+        with pytest.raises(ValueError, match="give a row per coordinate"):
+            Force(wrong)
