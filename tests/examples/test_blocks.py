@@ -23,8 +23,8 @@ from jaxgray.cli.commands import app
 from jaxgray.manual.effect_pages import _commands
 from jaxgray.mechanics.effects import CATALOGUE
 
-SHOWN = {"README.md": {"sh": 3, "text": 2, "python": 1, "bibtex": 1}, "verdicts.md": {"sh": 3, "text": 5, "py": 1}}
-"""What `test_readme.py` runs and compares."""
+SHOWN = {"README.md": {"sh": 4, "text": 2, "python": 1, "bibtex": 1}, "verdicts.md": {"sh": 3, "text": 5, "py": 1}}
+"""What `test_readme.py` runs and compares, and commands on files of the reader's, which are parsed here."""
 
 RUN_HERE = {
     "start.md": {"sh": 2, "py": 1},

@@ -74,18 +74,27 @@ def test_values():
 def test_sentence_of_a_named_cause():
     assert diagnosis().sentence == MISSED + CAUSE + (
         "Adding it cuts the held-out error by 64 % (61 to 67) and leaves only noise. "
-        "It had been hidden as +13 % in the damping at y1."
+        "Without it, the linear model has 13 % more damping at y1."
     )
 
 
-@pytest.mark.parametrize("before, said", [(39.0, "13 times"), (13.5, "4.5 times"), (700.0, "233 times")])
-def test_an_effect_that_outweighed_an_entry_is_said_as_a_multiple(before, said):
+@pytest.mark.parametrize(
+    "before, said",
+    [
+        (39.0, "13 times the"),
+        (13.5, "4.5 times the"),
+        (700.0, "233 times the"),
+        (4.5, "50 % more"),
+        (2.7, "10 % less"),
+    ],
+)
+def test_what_an_entry_has_without_the_effect_is_said_in_percent_or_as_a_multiple(before, said):
     shifts = (
         ParameterShift("mass[0,0]", 2.1, 2.0, 0.01),
         ParameterShift("damping[0,0]", before, 3.0, 0.02),
         ParameterShift("damping[1,1]", 50.0, 1e-6, 1e-7),
     )
-    assert diagnosis(shifts=shifts).sentence.endswith(f"It had been hidden as {said} the damping at y1.")
+    assert diagnosis(shifts=shifts).sentence.endswith(f"Without it, the linear model has {said} damping at y1.")
 
 
 def test_rivals_between_two_coordinates_keep_both():

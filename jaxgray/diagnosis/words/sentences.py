@@ -28,7 +28,7 @@ MODEL_ERRORS = (*ENTRIES, "parameter_error")
 
 
 def verdict_sentence(diagnosis: DiagnosisFields) -> str:
-    """The verdict in words: what is missed, its cause, what mending it buys, and where it had been hidden.
+    """The verdict in words: what is missed, its cause, what mending it buys, and what the linear model had instead.
 
     **Arguments:** `diagnosis`.
 
@@ -304,16 +304,16 @@ def _hidden(diagnosis: DiagnosisFields, causes: int) -> str:
         return ""
     most = max(shifts, key=lambda s: abs(s.before / s.after - 1))
     matrix, place, _ = entry_of(most.name, outputs)
-    where = f"the {matrix}" + (f" at {place}" if len(outputs) > 1 else "")
+    where = matrix + (f" at {place}" if len(outputs) > 1 else "")
     ratio = most.before / most.after
-    percent = 100 * (ratio - 1)
+    percent = 100 * abs(ratio - 1)
     share = (
-        f"{percent:+.{0 if abs(percent) >= 9.5 else 1}f} % in"
+        f"{percent:.{0 if percent >= 9.5 else 1}f} % {'more' if ratio > 1 else 'less'}"
         if ratio < MANY
-        else f"{ratio:.{0 if ratio >= 9.95 else 1}f} times"
+        else f"{ratio:.{0 if ratio >= 9.95 else 1}f} times the"
     )
-    subject = "It" if causes == 1 else "They"
-    return f"{subject} had been hidden as {share} {where}."
+    subject = "it" if causes == 1 else "them"
+    return f"Without {subject}, the linear model has {share} {where}."
 
 
 def describe(diagnosis: DiagnosisFields) -> str:
