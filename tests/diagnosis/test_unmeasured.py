@@ -36,6 +36,7 @@ def records(law, draw=""):
     return found
 
 
+@pytest.mark.slow
 def test_a_law_is_found_where_it_turns_the_load_of_the_linear_model_into_a_wall():
     law = Effect("coulomb_friction", "y2", {"Fc": 2.2})
     estimation, validation = records(law, "14")

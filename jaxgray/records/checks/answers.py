@@ -3,7 +3,8 @@
     y(k) + a₁ y(k−1) + … + a_p y(k−p) = Σ_j b_j0 u_j(k) + … + b_jp u_j(k−p) + e(k)
 
 by least squares, each output from its own past. Such an equation is consistent for a linear system and any coloured
-noise as p grows; what it leaves is told apart by what e and e/A look like.
+noise as p grows; what it leaves is told apart by what e and e/A look like. Columns beside the inputs (`beside`) stand
+for forces that nobody measured: dry friction has the sign of a velocity.
 """
 
 from dataclasses import dataclass
@@ -31,18 +32,20 @@ class Answer:
 
     **Arguments:**
 
-    - `a`: 1, a₁, …; `b`: of every input.
+    - `a`: 1, a₁, …; `b`: of every input; `c`: of every column beside them.
     - `innovation`: e, zero where a sample that it needs is missing.
     - `unexplained`: e/A, the output without what the inputs explain; missing samples are zero.
-    - `share`: RMS of the unexplained over that of the output; infinite where 1/A is not stable, then all of the output
-        is unexplained.
+    - `share`: RMS of the unexplained over that of the output; infinite where nothing stable explains it.
+    - `stable`: whether 1/A was, as it was fitted; if not, A has its roots reflected, and the innovation is that before.
     """
 
     a: Float[np.ndarray, " past"]
     b: Float[np.ndarray, "inputs past"]
+    c: Float[np.ndarray, "beside past"]
     innovation: Float[np.ndarray, " samples"]
     unexplained: Float[np.ndarray, " samples"]
     share: float
+    stable: bool = True
 
     def by(self, u: Float[np.ndarray, " samples"], j: int) -> Float[np.ndarray, " samples"]:
         """What input j brings, from rest."""
@@ -50,7 +53,10 @@ class Answer:
 
 
 def answer(
-    u: Float[np.ndarray, "samples inputs"], y: Float[np.ndarray, " samples"], rows: slice | None = None
+    u: Float[np.ndarray, "samples inputs"],
+    y: Float[np.ndarray, " samples"],
+    rows: slice | None = None,
+    beside: Float[np.ndarray, "samples beside"] | None = None,
 ) -> Answer | None:
     """Fit one output, both without their means.
 
@@ -58,12 +64,13 @@ def answer(
 
     - `u`, `y`: signals; NaN where an output is missing.
     - `rows`: those fitted to; default all.
+    - `beside`: columns that stand for forces beside the inputs; default none.
 
     **Returns:** the `Answer`, None where the record is too short.
     """
     best = None
     for order in ORDERS:
-        found = fitted(u, y, order, rows)
+        found = fitted(u, y, order, rows, beside)
         if found is not None and (best is None or found.share < BETTER * best.share):
             best = found
     return best
@@ -76,7 +83,7 @@ PLAIN = 0.02
 """Unexplained share below which nothing is shifted."""
 
 
-def aligned(u: np.ndarray, y: np.ndarray, found: Answer) -> tuple[int, Answer]:
+def aligned(u: np.ndarray, y: np.ndarray, found: Answer, beside: np.ndarray | None = None) -> tuple[int, Answer]:
     """An output by inputs that are put off by so many samples that they explain it better.
 
     **Returns:** how many samples earlier the output is than in the record that was fitted, and the `Answer`; 0 and
@@ -89,14 +96,18 @@ def aligned(u: np.ndarray, y: np.ndarray, found: Answer) -> tuple[int, Answer]:
         x = y.astype(float).copy()
         x[-lead if lead > 0 else 0 : None if lead > 0 else -lead] = np.nan
         moved = np.roll(u, -lead, axis=0)
-        other = fitted(moved, x, ORDERS[0], None)
+        other = fitted(moved, x, ORDERS[0], None, beside)
         if other is not None and other.share < 0.6 * best[1].share:
-            best = lead, answer(moved, x)
+            best = lead, answer(moved, x, None, beside)
     return best
 
 
-def fitted(u: np.ndarray, y: np.ndarray, order: int, rows: slice | None) -> Answer | None:
+def fitted(
+    u: np.ndarray, y: np.ndarray, order: int, rows: slice | None, beside: np.ndarray | None = None
+) -> Answer | None:
     """The same by an equation of one order."""
+    own = u.shape[1]
+    u = u if beside is None else np.concatenate([u, beside], axis=1)
     n, inputs = u.shape
     known = np.isfinite(y)
     x = np.where(known, y, 0.0)
@@ -120,22 +131,55 @@ def fitted(u: np.ndarray, y: np.ndarray, order: int, rows: slice | None) -> Answ
     size = np.sqrt(np.mean(X**2, axis=1))
     size[size == 0.0] = 1.0
     X /= size[:, None]
-    # An input of few frequencies leaves some of it open: the smallest solution.
-    values, vectors = np.linalg.eigh(X @ X.T)
-    kept = values > 1e-12 * values[-1]
-    V = vectors[:, kept]
-    theta = V @ ((V.T @ (X @ x[places])) / values[kept]) / size
+    theta = _smallest(X, x[places]) / size
     a = np.concatenate([[1.0], -theta[:order]])
     b = theta[order:].reshape(inputs, order + 1)
     e = filtered(a, [1.0], x) - sum(filtered(b[j], [1.0], u[:, j]) for j in range(inputs))
+    judged = usable & chosen
+
+    def left_by(a, e):
+        with np.errstate(over="ignore", invalid="ignore"):
+            left = np.where(known, filtered([1.0], a, np.where(usable, e, 0.0)), 0.0)
+            return left, float(np.sqrt(np.mean(left[judged] ** 2) / np.mean(x[judged] ** 2)))
+
+    left, share = left_by(a, e)
+    stable = share < UNSTABLE
+    if not stable:
+        # What little the inputs leave may put poles outside of the unit circle: with those inside, the inputs anew.
+        inside = _reflected(a)
+        through = [filtered([1.0], inside, column) for column in u.T]
+        X = np.stack([column[places - k] for column in through for k in range(order + 1)])
+        size = np.sqrt(np.mean(X**2, axis=1)) + 1e-300
+        anew = (_smallest(X / size[:, None], x[places]) / size).reshape(inputs, order + 1)
+        by_inputs = filtered(inside, [1.0], x) - sum(filtered(anew[j], [1.0], u[:, j]) for j in range(inputs))
+        left, share = left_by(inside, by_inputs)
+        a, b, left, share = (inside, anew, left, share) if share < 1.0 else (a, b, x, np.inf)
     e[~usable] = 0.0
-    with np.errstate(over="ignore", invalid="ignore"):
-        left = np.where(known, filtered([1.0], a, e), 0.0)
-        judged = usable & chosen
-        share = np.sqrt(np.mean(left[judged] ** 2) / np.mean(x[judged] ** 2))
-    if not share < 3.0:
-        left, share = x, np.inf
-    return Answer(a, b, e, left, float(share))
+    return Answer(a, b[:own], b[own:], e, left, share, stable)
+
+
+UNSTABLE = 3.0
+"""Unexplained share from which an equation counts as unstable."""
+
+
+def _smallest(X: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """The least-squares solution of Xᵀ θ = t, the smallest where an input of few frequencies leaves some of it open."""
+    values, vectors = np.linalg.eigh(X @ X.T)
+    kept = values > 1e-12 * values[-1]
+    V = vectors[:, kept]
+    return V @ ((V.T @ (X @ t)) / values[kept])
+
+
+def _reflected(a: np.ndarray) -> np.ndarray:
+    """A polynomial with the roots outside of the unit circle reflected into it."""
+    z = np.roots(a)
+    outside = np.abs(z) >= 1.0
+    z[outside] = np.minimum(1.0 / np.abs(z[outside]), INSIDE) * np.exp(1j * np.angle(z[outside]))
+    return np.poly(z).real
+
+
+INSIDE = 0.999
+"""Largest modulus of a root that was reflected."""
 
 
 def _spread(places: np.ndarray) -> np.ndarray:

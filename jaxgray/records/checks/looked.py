@@ -9,12 +9,15 @@ import numpy as np
 from jaxgray.records.checks.answers import Answer, aligned, answer
 from jaxgray.records.checks.defects import spikes
 from jaxgray.records.checks.modes import SHIFTS, Modes, input_power, modes
-from jaxgray.records.checks.relations import distinguishable
+from jaxgray.records.checks.relations import direction, distinguishable
 from jaxgray.records.cleaning import without_defects
 from jaxgray.records.record import Record
 
 MOST_SPOILT = 0.02
 """Share of missing and spoilt samples of an output above which only that is said of it."""
+
+RUBBED, RUBS = (0.05, 0.6), 0.6
+"""Unexplained shares between which dry friction is looked for, and what it may leave of one."""
 
 EXPLAINED = 0.5
 """Unexplained share up to which a relation says something of signs and times."""
@@ -24,6 +27,9 @@ ROUGH = 0.05
 
 PLAIN_SHIFT = 0.1
 """Unexplained share up to which a shift of one output alone is said."""
+
+AGREED = 0.05
+"""Relative difference of the shifts of two outputs up to which they are one."""
 
 FRICTION_PHASE, FAR_BETTER, BETTER = 0.4, 8.0, 4.0
 """Phase in rad up to which friction is taken for a shift, and how much better a shift must fit below and above it."""
@@ -54,13 +60,15 @@ class MovingOutput:
 
 class Answering(NamedTuple):
     """An output and how it answers the inputs: `position` in the record, `y` without its mean and spoilt samples (zero
-    there), over its largest value `size`, and what was `found`."""
+    there), over its largest value `size`, what was `found`, and the directions of motion that stand `beside` the
+    inputs, where dry friction is seen."""
 
     position: int
     name: str
     y: np.ndarray
     size: float
     found: Answer
+    beside: np.ndarray | None = None
 
 
 class Looked:
@@ -98,12 +106,22 @@ class Looked:
         """Outputs with a relation to the inputs, none of those with many spoilt samples."""
         if not np.any(self.u):
             return []
-        found = [
-            (k, name, y, size, answer(self.u, y))
-            for k, name, y, size in self.outputs
-            if np.mean(np.isnan(y)) <= MOST_SPOILT
-        ]
-        return [Answering(k, name, np.nan_to_num(y), size, one) for k, name, y, size, one in found if one is not None]
+        found = []
+        for k, name, y, size in self.outputs:
+            one = answer(self.u, y) if np.mean(np.isnan(y)) <= MOST_SPOILT else None
+            if one is None:
+                continue
+            rubbing = answer(self.u, y, None, self.directions) if RUBBED[0] < one.share < RUBBED[1] else None
+            rubs = rubbing is not None and rubbing.share < RUBS * one.share
+            more = (rubbing, self.directions) if rubs else (one,)
+            found.append(Answering(k, name, np.nan_to_num(y), size, *more))
+        return found
+
+    @functools.cached_property
+    def directions(self) -> np.ndarray:
+        """Directions in which the outputs move: what dry friction there depends on."""
+        kinds = self.record.measured
+        return np.stack([direction(np.nan_to_num(y), kinds[k]) for k, _, y, _ in self.outputs], axis=1)
 
     @functools.cached_property
     def modes(self) -> dict[str, Modes]:
@@ -113,7 +131,7 @@ class Looked:
             return found
         power = input_power(self.u)
         for one in self.answering:
-            lead, best = aligned(self.u, one.y, one.found)
+            lead, best = aligned(self.u, one.y, one.found, one.beside)
             if best.share < EXPLAINED:
                 seen = modes(best, power, record.measured[one.position], record.hold, lead)
                 if seen is not None:
@@ -134,12 +152,15 @@ class Looked:
             best, omega = int(np.argmin(misfit)), min(fit[3] for fit in fits.values())
             if _is_shift(SHIFTS[best], misfit[best], misfit[len(SHIFTS) // 2], omega):
                 return dict.fromkeys(fits, float(SHIFTS[best]))
-        # Friction turns the phases of single outputs, but then much is left unexplained.
-        return {
-            name: fit[0]
-            for name, fit in fits.items()
-            if _is_shift(*fit) and (len(self.answering) == 1 or self.modes[name].share < PLAIN_SHIFT)
-        }
+        # Friction turns the phases of single outputs, but then much is left unexplained, and each is turned otherwise.
+        shifted = {name: fit[0] for name, fit in fits.items() if _is_shift(*fit)}
+
+        def sure(name: str) -> bool:
+            others = [shift for other, shift in shifted.items() if other != name]
+            agreed = any(abs(shift - shifted[name]) <= AGREED * abs(shift) for shift in others)
+            return len(self.answering) == 1 or self.modes[name].share < PLAIN_SHIFT or agreed
+
+        return {name: shift for name, shift in shifted.items() if sure(name)}
 
     @property
     def open(self) -> list[Answering]:

@@ -11,6 +11,7 @@ from jaxgray.records.checks.finding import RecordFinding
 from jaxgray.records.checks.looked import ROUGH, Answering, Looked, proportion
 from jaxgray.records.checks.relations import (
     RESTING,
+    WINDOWS,
     count_lines,
     drifting,
     exchanged,
@@ -99,13 +100,16 @@ def unit(looked: Looked) -> Iterator[RecordFinding]:
 
 
 def _explains(u: np.ndarray, one: Answering, factor: float, sample: int, source: int | None) -> bool:
-    """Whether with the change taken back one equation explains the output all over the record, and better."""
+    """Whether with the change taken back one equation explains the output all over the record, and better; but for the
+    window in which it lies."""
     u, y = np.array(u), np.array(one.y)
     if source is None:
         y[sample:] /= factor
     else:
         u[sample:, source] *= factor
-    mended = answer(u, y)
+    width = len(y) // WINDOWS
+    y[max(0, sample - width) : sample + width] = np.nan
+    mended = answer(u, y, None, one.beside)
     return mended is not None and mended.share < EXPLAINED * one.found.share
 
 
@@ -155,15 +159,20 @@ def signs(looked: Looked) -> Iterator[RecordFinding]:
     }
     # Of every pair: 1 for residues that are all positive, -1 for all negative, 0 for both, NaN where unknown.
     signs = np.full((record.outputs, record.inputs), np.nan)
+    several = np.zeros(signs.shape, bool)
     for k, found in seen.items():
         if found.misfit <= ROUGH:
-            signs[k] = [_sign(parts, found.misfit) for parts in found.parts]
+            clear = [_clear(parts, found.misfit) for parts in found.parts]
+            signs[k] = [_sign(parts) for parts in clear]
+            several[k] = [len(parts) > 1 for parts in clear] & (signs[k] != 0.0)
     if record.inputs == record.outputs:
         place = range(record.inputs)
-    elif record.inputs == 1 and not np.any(signs == 1.0):
-        # Of outputs at unknown places, one that answers with several modes alike is the place of the input.
-        several = [k for k in seen if signs[k, 0] == -1.0 and len(seen[k].omega) > 1]
-        place = several[:1]
+    elif record.inputs == 1:
+        # Of outputs at unknown places, one that answers with several modes alike is the place of the input, or the only
+        # one whose modes do not differ.
+        alike = [k for k in seen if several[k, 0]]
+        others = [k for k in range(record.outputs) if signs[k, 0] != 0.0]
+        place = alike if len(alike) == 1 else others if len(others) == 1 else []
     else:
         return
     diagonal = {j: signs[k, j] for j, k in zip(range(record.inputs), place)}
@@ -193,10 +202,14 @@ def signs(looked: Looked) -> Iterator[RecordFinding]:
             )
 
 
-def _sign(parts: np.ndarray, misfit: float) -> float:
-    """Sign that all modes of a pair share, 0 where they differ, NaN where none is seen."""
+def _clear(parts: np.ndarray, misfit: float) -> np.ndarray:
+    """Those of the parts of modes that are no chance."""
     size = np.abs(parts)
-    clear = parts[size > max(0.01 * size.max(initial=0.0), 3.0 * np.sqrt(misfit) * size.max(initial=0.0), 1e-3)]
+    return parts[size > max(0.01 * size.max(initial=0.0), 3.0 * np.sqrt(misfit) * size.max(initial=0.0), 1e-3)]
+
+
+def _sign(clear: np.ndarray) -> float:
+    """Sign that all modes of a pair share, 0 where they differ, NaN where none is seen."""
     if clear.size == 0:
         return np.nan
     return float(np.sign(clear[0])) if np.all(np.sign(clear) == np.sign(clear[0])) else 0.0
@@ -205,7 +218,8 @@ def _sign(parts: np.ndarray, misfit: float) -> float:
 def exchange(looked: Looked) -> Iterator[RecordFinding]:
     record = looked.record
     for one in looked.open:
-        forward = one.found.share
+        # What follows from what comes after it alone is unstable.
+        forward = one.found.share if one.found.stable else np.inf
         if forward < 0.05:
             continue
         for j, name in enumerate(record.input_names):
@@ -319,7 +333,7 @@ def drift(looked: Looked) -> Iterator[RecordFinding]:
     if not looked.open or min(overlap(x) for x in looked.u.T if np.any(x)) < ALIKE:
         return
     for one in looked.open:
-        total, share = drifting(looked.u, one.y, one.found)
+        total, share = drifting(looked.u, one.y, one.found, one.beside)
         if total != 0.0:
             looked.explained.add(one.name)
             behind = "falls behind" if total > 0.0 else "gets ahead"
@@ -338,7 +352,9 @@ def hum(looked: Looked) -> Iterator[RecordFinding]:
     record = looked.record
     for one in looked.answering:
         for frequency in MAINS_HZ:
-            line = mains_line(one.y - from_rest(one.found, looked.u), looked.u, record.sampling_time, frequency)
+            line = mains_line(
+                one.y - from_rest(one.found, looked.u, one.beside), looked.u, record.sampling_time, frequency
+            )
             if line is not None and line[1] > LEAST_LINE * np.std(one.y):
                 seen, amplitude, above = line
                 amplitude = float(amplitude * one.size)

@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from jaxgray.numerics.filters import filtered
 from jaxgray.records.checks.answers import ORDERS, Answer, answer, fitted
+from jaxgray.records.checks.modes import DERIVATIVE
 
 FAR = (0.13, 0.29, 0.41, 0.57, 0.71, 0.87)
 """Shares of the record by which an input is shifted until it has nothing to do with what is left."""
@@ -114,13 +115,36 @@ def _calm(x: np.ndarray) -> np.ndarray:
     return x / max(float(np.sqrt(np.mean(x**2))), 1e-300)
 
 
+# Dry friction
+
+
+def direction(y: np.ndarray, measured: str) -> np.ndarray:
+    """Direction in which an output moves, −1 to 1: that of its velocity in the band of its motion."""
+    n = len(y)
+    f = np.fft.rfftfreq(n)
+    Y = np.fft.rfft(y - y.mean())
+    power = np.abs(Y) ** 2
+    usual = float(np.sum(f * power) / max(np.sum(power), 1e-300))
+    inside = np.exp(-((f / (BAND[1] * usual + 1e-300)) ** 2)) * (1 - np.exp(-((f / (BAND[0] * usual + 1e-300)) ** 2)))
+    turned = (2j * np.pi * np.where(f > 0, f, 1.0)) ** (1 - DERIVATIVE[measured])
+    v = np.fft.irfft(Y * turned * inside, n)
+    return np.tanh(v / (SLOW * np.std(v) + 1e-300))
+
+
+BAND = 0.2, 5.0
+"""Frequencies of a motion over its mean one between which its velocity is asked for."""
+
+SLOW = 0.1
+"""Velocity over its standard deviation up to which the direction is in doubt."""
+
+
 # Time
 
 
 PARTS = 12
 
 
-def drifting(u: np.ndarray, y: np.ndarray, found: Answer) -> tuple[float, float]:
+def drifting(u: np.ndarray, y: np.ndarray, found: Answer, beside: np.ndarray | None = None) -> tuple[float, float]:
     """How far an output falls behind its inputs over the record, at a steady rate.
 
     A straight line through the delays of parts of the record, behind what is explained by the equation of a quarter of
@@ -132,7 +156,7 @@ def drifting(u: np.ndarray, y: np.ndarray, found: Answer) -> tuple[float, float]
     n = len(y)
     if found.share < LEAST_LEFT:
         return 0.0, found.share
-    quarters = [answer(u, y, slice(start, start + n // 4)) for start in (0, 3 * n // 8, 3 * n // 4)]
+    quarters = [answer(u, y, slice(start, start + n // 4), beside) for start in (0, 3 * n // 8, 3 * n // 4)]
     starts = [one for one in (found, *quarters) if one is not None and one.share < np.inf]
     lines = [_wandering(y, y - one.unexplained) for one in starts]
     # Those of two equations that agree are worth a try, and so is the surest.
@@ -141,7 +165,8 @@ def drifting(u: np.ndarray, y: np.ndarray, found: Answer) -> tuple[float, float]
         if sure < SURE or abs(total) < LEAST_DRIFT:
             continue
         for _ in range(3):
-            other = answer(u, retimed(y, total))
+            along = None if beside is None else np.stack([retimed(x, total) for x in beside.T], axis=1)
+            other = answer(u, retimed(y, total), None, along)
             if other is None or not other.share < best[1]:
                 break
             best = total, other.share
@@ -399,8 +424,10 @@ def exchanged(u: np.ndarray, y: np.ndarray, j: int, forward: float) -> float | N
     return None if back is None or not back.share < min(0.3, 0.4 * forward) else back.share
 
 
-def from_rest(found: Answer, u: np.ndarray) -> np.ndarray:
-    """What the inputs bring to an output, from rest: without a line that went on from before the record."""
+def from_rest(found: Answer, u: np.ndarray, beside: np.ndarray | None = None) -> np.ndarray:
+    """What the inputs, and columns beside them, bring to an output, from rest: without a line that went on from before
+    the record."""
+    columns = [*u.T, *(() if beside is None else beside.T)]
     with np.errstate(over="ignore", invalid="ignore"):
-        brought = sum(filtered(found.b[j], found.a, u[:, j]) for j in range(u.shape[1]))
+        brought = sum(filtered(b, found.a, x) for b, x in zip([*found.b, *found.c], columns))
     return brought if found.share < np.inf else np.zeros(len(u))
