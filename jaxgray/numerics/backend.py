@@ -8,6 +8,10 @@ import importlib.metadata
 import os
 import platform
 import re
+import sys
+
+SWITCH = "JAXGRAY_BACKEND"
+"""Environment variable that, set to 0, has the environment left as it is."""
 
 LEAST_THREADS = 4
 """Threads of the pool for each device. More get in each other's way: idle ones look for work before they sleep."""
@@ -27,10 +31,19 @@ Tried with 0.9.2 and 0.10.1."""
 
 
 def prepare() -> None:
-    """Set the environment of the backend, where the user has not."""
+    """Set the environment of the backend, where the user has not: nothing where it runs already, or where
+    `JAXGRAY_BACKEND` is 0."""
+    if os.environ.get(SWITCH) == "0" or runs_already():
+        return
     widen()
     compile_sooner()
     run_sooner()
+
+
+def runs_already() -> bool:
+    """Whether the backend has started: it reads its environment no more, and processes begun later would read it."""
+    asked = getattr(sys.modules.get("jax._src.xla_bridge"), "backends_are_initialized", None)
+    return bool(asked and asked())
 
 
 def cores() -> int:

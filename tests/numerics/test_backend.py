@@ -2,6 +2,8 @@
 
 import importlib.metadata
 import os
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -75,3 +77,18 @@ def test_flags_are_added_where_they_are_known_and_the_user_has_not_chosen(monkey
     monkeypatch.setattr(importlib.metadata, "version", lambda package: "0.12.1")
     ask()
     assert "XLA_FLAGS" not in os.environ
+
+
+def _set_by_import(before, **given):
+    """What importing sets of the backend's environment, in a process that does something first."""
+    code = f"import os, sys; {before}; import jaxgray; print(os.environ.get('NPROC'), os.environ.get('XLA_FLAGS'))"
+    plain = {k: v for k, v in os.environ.items() if k not in ("NPROC", "XLA_FLAGS")}
+    done = subprocess.run([sys.executable, "-c", code], env=plain | given, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_importing_sets_nothing_where_it_is_switched_off_or_arrays_are_there():
+    few = "os.sched_getaffinity = lambda process: {0}"
+    assert _set_by_import(few).startswith("4 --xla")
+    assert _set_by_import(few, JAXGRAY_BACKEND="0") == "None None"
+    assert _set_by_import(f"{few}; import jax.numpy; jax.numpy.ones(1)") == "None None"
