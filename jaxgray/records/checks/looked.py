@@ -37,6 +37,9 @@ FRICTION_PHASE, FAR_BETTER, BETTER = 0.4, 8.0, 4.0
 UNSHIFTED = 0.03
 """Misfit of the modes without a shift below which none is looked for."""
 
+PLAINLY = 40.0, 50.0
+"""Misfit without a shift, over that with it and over the power that is unexplained, from which it stands out."""
+
 CANCELLING = 1.5
 """Size of a mode, over all of the motion, from which modes only cancel each other."""
 
@@ -143,14 +146,15 @@ class Looked:
         """Samples by which outputs are late, of those whose modes say so: all alike where all are best served by one
         shift, otherwise those that the inputs explain well."""
         fits = {
-            name: (seen.shift, seen.misfit, seen.unshifted, seen.omega[0])
+            name: (seen.shift, seen.misfit, seen.unshifted, seen.omega[0], seen.share)
             for name, seen in self.modes.items()
             if np.max(np.abs(seen.parts)) < CANCELLING
         }
         if len(fits) == len(self.answering) > 1:
             misfit = np.mean([self.modes[name].misfits for name in fits], axis=0)
             best, omega = int(np.argmin(misfit)), min(fit[3] for fit in fits.values())
-            if _is_shift(SHIFTS[best], misfit[best], misfit[len(SHIFTS) // 2], omega):
+            share = max(self.modes[name].share for name in fits)
+            if _is_shift(SHIFTS[best], misfit[best], misfit[len(SHIFTS) // 2], omega, share):
                 return dict.fromkeys(fits, float(SHIFTS[best]))
         # Friction turns the phases of single outputs, but then much is left unexplained, and each is turned otherwise.
         shifted = {name: fit[0] for name, fit in fits.items() if _is_shift(*fit)}
@@ -168,12 +172,14 @@ class Looked:
         return [one for one in self.answering if one.name not in self.explained]
 
 
-def _is_shift(shift: float, misfit: float, unshifted: float, omega: float) -> bool:
-    """Whether a shift in samples is one: large enough at a mode of `omega` rad per sample, and far better than none."""
+def _is_shift(shift: float, misfit: float, unshifted: float, omega: float, share: float) -> bool:
+    """Whether a shift in samples is one: large enough at a mode of `omega` rad per sample, and far better than none,
+    which is seen by a misfit that is large, or stands out of what is unexplained (`share`)."""
     phase = abs(shift) * omega
     better = FAR_BETTER if phase < FRICTION_PHASE else BETTER
     large = abs(shift) >= LEAST_SHIFT and phase > LEAST_PHASE
-    return bool(large and misfit < ROUGH and unshifted > max(better * misfit, UNSHIFTED))
+    seen = unshifted > max(better * misfit, UNSHIFTED) or unshifted > max(PLAINLY[0] * misfit, PLAINLY[1] * share**2)
+    return bool(large and misfit < ROUGH and seen)
 
 
 def _scaled(x: np.ndarray) -> tuple[np.ndarray, float]:

@@ -421,7 +421,8 @@ def exchanged(u: np.ndarray, y: np.ndarray, j: int, forward: float) -> float | N
     columns = u.copy()
     columns[:, j] = y
     back = answer(columns, u[:, j])
-    return None if back is None or not back.share < min(0.3, 0.4 * forward) else back.share
+    follows = back is not None and back.stable and back.share < min(0.3, 0.4 * forward)
+    return back.share if follows else None
 
 
 def from_rest(found: Answer, u: np.ndarray, beside: np.ndarray | None = None) -> np.ndarray:
