@@ -18,6 +18,7 @@ from scipy.interpolate import BSpline, CubicSpline, splrep
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.varying_steps import response, step_matrices
 from ..records import Record
+from ..records.stamped import inputs_on
 from ..records.stamped.stamps import START
 from .first_state import linear_state
 from .fitted_run import fitted_run
@@ -163,13 +164,12 @@ def _first_state(record: Record, free: np.ndarray, driven: np.ndarray):
 
 
 def _added(model: MechanicalModel, linear: MechanicalModel, record: Record, x0, substeps: int) -> np.ndarray:
-    """What effects add to the outputs at the rows' times: smooth between samples, unlike inputs and what they do."""
-    h, samples = record.sampling_time / FINER, record.samples
-    at = record.start_time + h * np.arange(samples * FINER)
-    if record.hold == "linear":
-        coarse = record.start_time + record.sampling_time * np.arange(samples)
-        u = np.stack([np.interp(at, coarse, column) for column in record.u.T], axis=1)
-    else:
-        u = np.repeat(record.u, FINER, axis=0)
+    """What effects add to the outputs at the rows' times: smooth between samples, unlike inputs and what they do.
+
+    By the inputs as they were given: what a limit makes of a mean is not the mean of what it makes.
+    """
+    h, stamps = record.sampling_time / FINER, record.stamps
+    at = record.start_time + h * np.arange(record.samples * FINER)
+    u = inputs_on(at, h, stamps.input_time, stamps.u, stamps.hold)
     runs = [simulate(one, u, h, hold=record.hold, x0=x0, substeps=max(substeps // FINER, 1)) for one in (model, linear)]
-    return CubicSpline(at, runs[0] - runs[1])(np.clip(record.stamps.time, at[0], at[-1]))
+    return CubicSpline(at, runs[0] - runs[1])(np.clip(stamps.time, at[0], at[-1]))

@@ -4,6 +4,7 @@ from .clocks import ClockError as ClockError
 from .clocks import mended as mended
 from .grid import Grid as Grid
 from .grid import grid_of as grid_of
+from .grid import inputs_on as inputs_on
 from .rows import error_if_uniform as error_if_uniform
 from .rows import held as held
 from .rows import joined as joined

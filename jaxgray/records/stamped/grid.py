@@ -85,7 +85,7 @@ def grid_of(
     jitter = float(np.max(np.abs(wanted[:, None] - place)[place >= 0]))
     clock = np.zeros(len(time), int) if clock is None else clock
     stamps = Stamps(input_time, u, time, y, place, clock, hold, jitter)
-    return Grid(start, step, _inputs(at, step, input_time, u, hold), _outputs(y, place, samples), hold, stamps)
+    return Grid(start, step, inputs_on(at, step, input_time, u, hold), _outputs(y, place, samples), hold, stamps)
 
 
 def _clock(time: np.ndarray) -> tuple[float, float]:
@@ -113,7 +113,14 @@ def _places(wanted: np.ndarray) -> np.ndarray:
     return np.maximum(near, rows)
 
 
-def _inputs(at: np.ndarray, step: float, time: np.ndarray, u: np.ndarray, hold: str) -> np.ndarray:
+def inputs_on(
+    at: Float[np.ndarray, " samples"],
+    step: float,
+    time: Float[np.ndarray, " events"],
+    u: Float[np.ndarray, "events inputs"],
+    hold: str,
+) -> Float[np.ndarray, "samples inputs"]:
+    """Inputs given from times on, on a grid: held ones by their means over its steps, others by their values."""
     if hold == "linear":
         return np.stack([np.interp(at, time, column) for column in u.T], axis=1)
     held = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(np.diff(time)[:, None] * u[:-1], axis=0)])
