@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..identification import identify
-from ..identification.stamped import change, keeps_times, note
+from ..identification.stamped import change, note
 from ..mechanics.at_stamps import at_own_times
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import ComputationError
@@ -50,7 +50,7 @@ def diagnose_stamped(
     clocks: list[str] = []
     try:
         found = None if model is not None else identify(records, progress=progress, **options)
-        if found is not None and not keeps_times(found):
+        if found is not None and found.grid_kept:
             # The first of its warnings says that the grid explains the samples better.
             judged = judge(now, unseen)
             warnings = (found.warnings[0], *judged.warnings)

@@ -46,7 +46,8 @@ class Identification(Shown):
     noise model in words and figures; `warnings`: in words; `scaling`, `setting`, `structure`: what the computation
     used; `fixed`: entries of the joined blocks that did not move (by `fix`, or the scale under base excitation);
     `hidden`: what is known of coordinates that no output measures, None where every one is measured; `clocks` that run
-    beside that of the inputs, as they were found.
+    beside that of the inputs, as they were found; `grid_kept`: whether rows at times of their own were taken at uniform
+    ones, which explain them better.
     """
 
     model: MechanicalModel
@@ -70,6 +71,7 @@ class Identification(Shown):
     fixed: Bool[np.ndarray, " entries"] = field(repr=False)
     hidden: HiddenEvidence | None = None
     clocks: tuple[ClockError, ...] = ()
+    grid_kept: bool = False
 
     @property
     def mass(self) -> Float[np.ndarray, "dofs dofs"]:

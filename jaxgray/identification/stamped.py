@@ -77,7 +77,7 @@ def identify_stamped(
             clocks = added(clocks, found.clocks)
         new, unseen = ([at_own_times(found.model, r) for r in group] for group in (mended, held_out))
         before, moved = moved, change(now, new)
-        if np.all(np.abs(off) < STANDS) and np.all(moved < np.maximum(RESTS * found.noise_floor, ROUNDING * size(new))):
+        if np.all(np.abs(off) < STANDS) and at_rest(moved, found.noise_floor, new):
             rests = True
             break
         now = new
@@ -86,12 +86,17 @@ def identify_stamped(
             break
     moved = 0.0 if rests else float(np.max(moved / np.maximum(found.noise_floor, LEAST)))
     if _left(uniform) + CLEAR < _left(found):
-        return replace(uniform, warnings=(LOGGED, *uniform.warnings))
+        return replace(uniform, warnings=(LOGGED, *uniform.warnings), grid_kept=True)
     if clocks:
         found = replace(with_clocks(found, mended)[0], clocks=clocks)
     notes = [note(r, moved) for r in records if r.has_own_times]
     notes += [clock.sentence(records[0].sampling_time) for clock in clocks]
     return replace(found, warnings=tuple(dict.fromkeys([*notes, *messages, *found.warnings])))
+
+
+def at_rest(moved: np.ndarray, noise: np.ndarray, records: list[Record]) -> bool:
+    """Whether a change of every output is little beside its noise, or rounding."""
+    return bool(np.all(moved < np.maximum(RESTS * noise, ROUNDING * size(records))))
 
 
 def added(clocks: tuple[ClockError, ...], steps: tuple[ClockError, ...]) -> tuple[ClockError, ...]:
@@ -113,11 +118,6 @@ def _left(found: Identification) -> float:
     for fit in found.estimation:
         left += np.log(np.maximum(noise_floor(fit.residual), LEAST)) @ np.isfinite(fit.residual).sum(axis=0)
     return float(left)
-
-
-def keeps_times(found: Identification) -> bool:
-    """Whether records were identified at the times of their rows, and not on their grid."""
-    return LOGGED not in found.warnings
 
 
 def change(old: list[Record], new: list[Record]) -> np.ndarray:

@@ -90,7 +90,9 @@ def _moved(time: np.ndarray, left: np.ndarray, there: np.ndarray) -> np.ndarray:
     The spline whose knots are as far apart as generalised cross-validation says.
     """
     known = np.flatnonzero(np.isfinite(left))
-    e, t = left[known], time[known]
+    # Clocks that were mended may put rows in another order, or two at one time.
+    t, first = np.unique(time[known], return_index=True)
+    e = left[known][first]
     white = np.sum(np.diff(e, n=2) ** 2) / (6 * max(len(e) - 2, 1))
     change = np.zeros(len(left))
     if len(e) < 8 * KNOTS[0] or not np.mean(e**2) > MORE_THAN_NOISE**2 * white:
@@ -104,7 +106,7 @@ def _moved(time: np.ndarray, left: np.ndarray, there: np.ndarray) -> np.ndarray:
         left_over = float(np.sum((e - spline(t)) ** 2)) / freedom**2
         if left_over < best:
             best = left_over
-            change[known] = spline(there[known]) - spline(t)
+            change[known] = spline(there[known]) - spline(time[known])
     return change
 
 

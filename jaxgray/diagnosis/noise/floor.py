@@ -39,10 +39,8 @@ def independent_floor(record: Record) -> tuple[Float[np.ndarray, " outputs"] | N
 
 def more_than_noise(e: np.ndarray, data: Data) -> bool:
     """Whether a residual is more than what no motion explains, its white part."""
-    kept = data.kept[: data.samples]
-    e = np.where(kept, e[: data.samples], 0.0)
-    power = np.sum(e**2, axis=0) / np.maximum(kept.sum(axis=0), 1)
-    return bool(np.any(power > settings.STAND_IN_EXCESS**2 * white_part(e, kept)))
+    white = np.sqrt(white_part(np.where(data.kept, e, 0.0), data.kept))
+    return bool(np.any(residual_rms(e, data) > settings.STAND_IN_EXCESS * white))
 
 
 def residual_rms(e: np.ndarray, data: Data) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from ...mechanics.at_stamps import at_own_times
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
-from ..stamped import CLEAR, LEAST, LOGGED, MOST_TURNS, RESTS, change, note
+from ..stamped import CLEAR, LEAST, LOGGED, MOST_TURNS, at_rest, change, note
 from .result import Identifications
 
 
@@ -26,22 +26,20 @@ def fit_stamped(fit: Callable[[list[Record]], Identifications], records: list[Re
     own = [k for k, record in enumerate(records) if record.has_own_times]
     now = [record.on_grid for record in records]
     found = uniform = fit(now)
-    moving, before = set(own), np.full(len(records), np.inf)
+    moving = set(own)
     for _ in range(MOST_TURNS):
-        moved = np.zeros(len(records))
         for k in list(moving):
             new = _about(found, k, records[k])
             if new is None:
                 moving.remove(k)
                 continue
-            moved[k] = np.max(change([now[k]], [new]) / np.maximum(found.rmse[k], LEAST))
-            if moved[k] < RESTS or (np.isfinite(before[k]) and moved[k] > before[k]):
+            if at_rest(change([now[k]], [new]), found.rmse[k], [new]):
                 moving.remove(k)
             else:
                 now[k] = new
         if not moving:
             break
-        before, found = moved, fit(now)
+        found = fit(now)
     # A law that is missing says nothing of times.
     white = [k for k in own if uniform.white[k]]
     logged = [k for k in white if _left(uniform, k, records[k]) + CLEAR < _left(found, k, records[k])]

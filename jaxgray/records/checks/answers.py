@@ -131,7 +131,7 @@ def fitted(
     size = np.sqrt(np.mean(X**2, axis=1))
     size[size == 0.0] = 1.0
     X /= size[:, None]
-    theta = _smallest(X, x[places]) / size
+    theta = smallest(X, X, x[places]) / size
     a = np.concatenate([[1.0], -theta[:order]])
     b = theta[order:].reshape(inputs, order + 1)
     e = filtered(a, [1.0], x) - sum(filtered(b[j], [1.0], u[:, j]) for j in range(inputs))
@@ -150,7 +150,8 @@ def fitted(
         through = [filtered([1.0], inside, column) for column in u.T]
         X = np.stack([column[places - k] for column in through for k in range(order + 1)])
         size = np.sqrt(np.mean(X**2, axis=1)) + 1e-300
-        anew = (_smallest(X / size[:, None], x[places]) / size).reshape(inputs, order + 1)
+        X /= size[:, None]
+        anew = (smallest(X, X, x[places]) / size).reshape(inputs, order + 1)
         by_inputs = filtered(inside, [1.0], x) - sum(filtered(anew[j], [1.0], u[:, j]) for j in range(inputs))
         left, share = left_by(inside, by_inputs)
         a, b, left, share = (inside, anew, left, share) if share < 1.0 else (a, b, x, np.inf)
@@ -162,12 +163,12 @@ UNSTABLE = 3.0
 """Unexplained share from which an equation counts as unstable."""
 
 
-def _smallest(X: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """The least-squares solution of Xᵀ θ = t, the smallest where an input of few frequencies leaves some of it open."""
-    values, vectors = np.linalg.eigh(X @ X.T)
+def smallest(W: np.ndarray, X: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """The solution of W Xᵀ θ = W t, symmetric, and the smallest where an input of few frequencies leaves some open."""
+    values, vectors = np.linalg.eigh(W @ X.T)
     kept = values > 1e-12 * values[-1]
     V = vectors[:, kept]
-    return V @ ((V.T @ (X @ t)) / values[kept])
+    return V @ ((V.T @ (W @ t)) / values[kept])
 
 
 def _reflected(a: np.ndarray) -> np.ndarray:

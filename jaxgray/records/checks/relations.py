@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgray.numerics.filters import filtered
-from jaxgray.records.checks.answers import ORDERS, Answer, answer, fitted
+from jaxgray.records.checks.answers import ORDERS, Answer, answer, fitted, smallest
 from jaxgray.records.checks.modes import DERIVATIVE
 
 FAR = (0.13, 0.29, 0.41, 0.57, 0.71, 0.87)
@@ -72,20 +72,12 @@ def left_by_outputs(u: np.ndarray, outputs: list[tuple[np.ndarray, int]]) -> flo
         X /= np.sqrt(np.mean(X**2, axis=1))[:, None] + 1e-300
         weight = np.ones(len(rows))
         for _ in range(6):
-            rest = u[rows] - _solved(X * weight, X, u[rows]) @ X
+            rest = u[rows] - smallest(X * weight, X, u[rows]) @ X
             usual = 1.4826 * np.median(np.abs(rest)) + 1e-9 * np.std(u)
             weight = 1.0 / (1.0 + (rest / (2.0 * usual)) ** 2)
         return usual
 
     return float(error(0) / error(int(FAR[2] * n)))
-
-
-def _solved(W: np.ndarray, X: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """The smallest solution of W Xᵀ c = W t, symmetric."""
-    values, vectors = np.linalg.eigh(W @ X.T)
-    kept = values > 1e-11 * values[-1]
-    V = vectors[:, kept]
-    return V @ ((V.T @ (W @ t)) / values[kept])
 
 
 def distinguishable(u: Float[np.ndarray, "samples inputs"]) -> bool:
@@ -104,7 +96,7 @@ def distinguishable(u: Float[np.ndarray, "samples inputs"]) -> bool:
 def _innovation(x: np.ndarray, order: int = 60) -> np.ndarray:
     n = len(x)
     X = np.stack([x[order - k : n - k] for k in range(1, order + 1)])
-    return np.concatenate([np.zeros(order), x[order:] - _solved(X, X, x[order:]) @ X])
+    return np.concatenate([np.zeros(order), x[order:] - smallest(X, X, x[order:]) @ X])
 
 
 def _calm(x: np.ndarray) -> np.ndarray:
