@@ -2,12 +2,21 @@
 
 from types import SimpleNamespace
 
+import independent
 import numpy as np
 import pytest
 
+import jaxgray
 from jaxgray.diagnosis.conclusions.assembly import picked_up
+from jaxgray.diagnosis.estimation.gauss_newton import refit
 from jaxgray.diagnosis.estimation.significance import significance
 from jaxgray.diagnosis.findings import Reason, Rejected
+from jaxgray.diagnosis.model.baseline import baseline_of
+from jaxgray.diagnosis.model.candidate import Data
+from jaxgray.diagnosis.model.parameter_vector import Layout
+from jaxgray.diagnosis.model.simulator import Simulator
+from jaxgray.diagnosis.noise.whitening import white_noise_model
+from jaxgray.diagnosis.screening.linearization import stage_of
 from jaxgray.diagnosis.search.forward import _class_of, _unsure
 from jaxgray.diagnosis.settings import MIN_STANDARD_ERRORS
 from jaxgray.mechanics.effects import by_id
@@ -22,7 +31,11 @@ def fitted(values, *, alike=0.0):
     rows[4] = alike * rows[3] + (1.0 - alike) * rows[4]
     information = rows @ rows.T
     term = Term(by_id("sine_stiffness"), Place("y1", 0), np.array(values))
-    fit = SimpleNamespace(candidate=SimpleNamespace(terms=(term,)), covariance=np.linalg.inv(information))
+    fit = SimpleNamespace(
+        candidate=SimpleNamespace(terms=(term,)),
+        covariance=np.linalg.inv(information),
+        undetermined_alone=np.zeros(5, bool),
+    )
     return information, fit, SimpleNamespace(first=3, terms=[(0, 0), (0, 1)])
 
 
@@ -38,6 +51,26 @@ def test_a_size_that_its_shape_moves_along_with_counts_by_its_error_beside_that_
 def test_a_size_that_is_nothing_does_not_count_whatever_is_known_of_its_shape():
     _, fit, layout = fitted([0.01, 2.0], alike=0.97)
     assert significance(fit, layout, 0, given_shape=True) < 1.0
+
+
+@pytest.mark.parametrize("touched, sure", [(1, False), (12, True)])
+def test_a_stop_that_is_touched_in_one_sample_has_no_size(touched, sure):
+    rng = np.random.default_rng(11)
+    u = independent.random_steps(rng, 600, 1, 0.05, (0.2, 1.0))
+    y = independent.simulate([[1.0]], [[0.8]], [[9.0]], u, 0.05)
+    record = jaxgray.Record(u, y + 0.01 * y.std() * rng.standard_normal(y.shape), 0.05)
+    stop, data = by_id("end_stop"), Data.of(record)
+    baseline = baseline_of([record], None, jaxgray.MechanicalModel([[1.0]], [[0.8]], [[9.0]]))
+    simulator = Simulator(baseline.setup, (stop,))
+    e = simulator.run(baseline.start, data) - data.y
+    white = white_noise_model(e, data.kept, stage_of(simulator, baseline.start, data).system)
+    farthest = np.sort(np.abs(y[:, 0]))
+    gap = 0.5 * (farthest[-touched] + farthest[-touched - 1])
+    candidate = baseline.start.with_terms((Term(stop, Place("y1", 0), np.array([2.0, gap])),))
+    fit = refit(simulator, candidate, [data], white, max_steps=0)
+    layout = Layout(simulator.setup, candidate)
+    assert fit.undetermined_alone[layout.first :].any() != sure
+    assert (significance(fit, layout, 0) > 0.0) == sure
 
 
 def attempt(effect, criterion):

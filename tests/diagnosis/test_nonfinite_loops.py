@@ -204,7 +204,9 @@ def test_first_states_after_a_refit_refuse_what_overflows(line, calls, value):
     y = rows @ (x0 + 0.2 * x0**2)
     e, J = np.where(data.kept, data.y - y, 0.0), rows * (1 + 0.4 * x0)
     candidate = Candidate(np.zeros(0), (x0,), ())
-    fit = Refit(candidate, (e,), (J,), np.zeros((2, 2)), 1.0, len(e), 1, True, 1.0, np.zeros(2, bool))
+    fit = Refit(
+        candidate, (e,), (J,), np.zeros((2, 2)), 1.0, len(e), 1, True, 1.0, np.zeros(2, bool), np.zeros(2, bool)
+    )
     simulator = Fake(rows, calls, value)
     found = with_states(simulator, fit, [data], steps=3)
     assert simulator.hits == 1 and np.all(np.isfinite(found.residual[0]))

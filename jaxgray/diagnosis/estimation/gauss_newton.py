@@ -41,7 +41,8 @@ class Refit:
     `candidate`; `residual` e of every record (zero where missing) and `jacobian` J of the simulated outputs by the
     entries, that record's first state, and the values term by term; `covariance` of all parameters; `cost`: sum of
     squared whitened errors; `count`: output samples that count; `steps`; `converged`; `started`: `cost` at the start;
-    `undetermined`: parameters that some direction moves which nothing determines, and which `covariance` leaves out.
+    `undetermined`: parameters that some direction moves which nothing determines, and which `covariance` leaves out;
+    `undetermined_alone`: those of the laws for which that holds with M, D, K as they are.
     """
 
     candidate: Candidate
@@ -54,6 +55,7 @@ class Refit:
     converged: bool
     started: float
     undetermined: Bool[np.ndarray, " parameters"]
+    undetermined_alone: Bool[np.ndarray, " parameters"]
 
 
 class _Step:
@@ -202,7 +204,10 @@ def refit(
     covariance[np.ix_(moving, moving)] = pseudo_inverse(H[np.ix_(moving, moving)]) * variance
     loose = moving.copy()
     loose[moving] = undetermined(H[np.ix_(moving, moving)])
-    return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started, loose)
+    laws = moving & (np.arange(layout.size) >= layout.first)
+    alone = laws.copy()
+    alone[laws] = undetermined(H[np.ix_(laws, laws)])
+    return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started, loose, alone)
 
 
 def _decrement(change, H, g) -> float:
