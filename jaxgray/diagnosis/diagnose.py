@@ -20,7 +20,7 @@ from ..numerics.outcomes import ComputationError
 from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
 from ..numerics.runtime import ready, relieve, undisturbed
 from ..numerics.text import listed
-from ..records import Record, check_compatible, preflight
+from ..records import Record, check_compatible, preflight, records_of
 from ..records.checks.finding import SEVERITIES
 from ..records.cleaning import without_defects
 from . import settings
@@ -165,8 +165,9 @@ def diagnose(
     for name, given in (("model", model), ("simulator", simulator), ("simulated", simulated)):
         if given is not None and "hidden" in options:
             raise ValueError(f"hidden is about a model that is fitted; leave it out with {name}.")
-    stamped = [r for r in (*_listed(record), *_listed(validation)) if r.has_own_times]
-    if stamped:
+    records = records_of(record, "record")
+    held = [] if validation is None else records_of(validation, "validation")
+    if any(one.has_own_times for one in records + held):
         if given := [name for name, value in (("simulator", simulator), ("simulated", simulated)) if value is not None]:
             raise ValueError(
                 f"{given[0]} runs at a uniform sampling time, and the record has rows at times of its own; give "
@@ -178,8 +179,8 @@ def diagnose(
         def judge(uniform, unseen):
             return diagnose(uniform, validation=unseen or None, **settled, **options)
 
-        groups = _listed(record), _listed(validation)
-        return _ended(diagnose_stamped(judge, *groups, model, progress.unlimited, options), progress, budget)
+        found = diagnose_stamped(judge, records, held, model, progress.unlimited, options)
+        return _ended(found, progress, budget)
     if simulated is not None:
         judged = {"model": model, "simulator": simulator, "parameters": parameters}
         if given := [name for name, value in judged.items() if value is not None]:
@@ -192,8 +193,8 @@ def diagnose(
             simulator,
             parameters,
             workers,
-            record,
-            validation,
+            records,
+            held,
             model,
             searched,
             max_effects,
@@ -205,7 +206,6 @@ def diagnose(
         return _ended(found, progress, budget)
     if parameters is not None:
         raise ValueError("parameters are those of a simulator; give simulator=, a function of inputs, forces, numbers.")
-    records, held = _listed(record), _listed(validation)
     separate = validation is not None or len(records) > 1
     if validation is None and separate:
         records, held = records[:-1], records[-1:]
@@ -245,10 +245,6 @@ def _other_models(records: list[Record], baseline: Baseline, progress: AbstractP
             return ()
 
     return others
-
-
-def _listed(record: Record | list[Record] | None) -> list[Record]:
-    return [] if record is None else [record] if isinstance(record, Record) else list(record)
 
 
 def _ended(found: Diagnosis, progress: Budgeted, budget: float | None) -> Diagnosis:
@@ -344,13 +340,12 @@ def _of_simulated_outputs(record, validation, simulated, settled: dict, options:
 
 
 def _of_simulator(
-    simulator, parameters, workers, record, validation, model, searched, max_effects, holdout, seed, progress, options
+    simulator, parameters, workers, records, held, model, searched, max_effects, holdout, seed, progress, options
 ) -> Diagnosis:
     """The diagnosis of the user's own simulator, which runs every record from its start."""
     if model is not None or options:
         more = ", ".join(["model"] * (model is not None) + sorted(options))
         raise ValueError(f"{more} given with a simulator, which says itself how the system moves; leave it out.")
-    records, held = _listed(record), _listed(validation)
     check_compatible(records + held)
     if not held and len(records) > 1:
         records, held = records[:-1], records[-1:]

@@ -10,7 +10,7 @@ from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready, relieve, undisturbed
-from ..records import Record, check_compatible, on_one_grid, preflight
+from ..records import Record, check_compatible, on_one_grid, preflight, records_of
 from .identify_hidden import HiddenRequest, identify_auto, identify_hidden, wants_hidden
 from .initialization.base_start import MassKnowledge
 from .initialization.guard import lost
@@ -116,8 +116,8 @@ def identify(
     ready()
     relieve()
     progress = Silent() if progress is None else progress
-    records = _as_records(record, "record")
-    held_out = [] if validation is None else _as_records(validation, "validation")
+    records = records_of(record, "record")
+    held_out = [] if validation is None else records_of(validation, "validation")
     given = on_one_grid(records + held_out)
     records, held_out = given[: len(records)], given[len(records) :]
     check_compatible(given)
@@ -272,13 +272,6 @@ def identify(
         tuple(notes),
     )
     return result if records is whole else result.judged_on(whole)
-
-
-def _as_records(record, name: str) -> list[Record]:
-    records = [record] if isinstance(record, Record) else list(record)
-    if not records or not all(isinstance(r, Record) for r in records):
-        raise ValueError(f"{name} must be a Record or a non-empty list of them; read a file with read_record.")
-    return records
 
 
 def _preflight(records: list[Record]) -> list[str]:

@@ -12,7 +12,7 @@ from ..numerics.linear_algebra import least_squares
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import Silent
 from ..numerics.runtime import ready
-from ..records import Record
+from ..records import Record, record_of
 from .initialization.start import filled
 from .setup.options import pick
 from .setup.preparation import prepare, scaling_of
@@ -96,7 +96,7 @@ def stabilisation(
         1.0
     """
     ready()
-    (record,), _ = uniform_records([record], [], Silent())
+    (record,), _ = uniform_records([record_of(record, "record")], [], Silent())
     weight = pick("weight", weight, WEIGHTS)
     taus = default_time_constants(record)
     tau = float(taus[len(taus) // 2]) if time_constant is None else float(time_constant)

@@ -13,7 +13,7 @@ from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.runtime import ready, undisturbed
-from ..records import Record, check_compatible
+from ..records import Record, check_compatible, records_of
 from .initialization.physical_grid import physical_grid
 from .initialization.start import filled, model_run
 from .setup.options import drive_of, pick
@@ -187,8 +187,8 @@ def sweep(
     """
     ready()
     progress = Silent() if progress is None else progress
-    records = [record] if isinstance(record, Record) else list(record)
-    held_out = [validation] if isinstance(validation, Record) else list(validation or [])
+    records = records_of(record, "record")
+    held_out = [] if validation is None else records_of(validation, "validation")
     asked = {"excitation": excitation, "input_map": input_map, "relative": relative}
     records, held_out = uniform_records(records, held_out, progress, **asked)
     check_compatible(records + held_out)

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from ..numerics.bounded import bounded
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.stored_programs import ONCE, stored
-from ..records import Record
+from ..records import Record, record_of
 from .drives import BaseDisplacement, Force
 from .effects.base import AbstractForceEffect, Term
 from .extended import (
@@ -139,7 +139,7 @@ def energy_balance(model: MechanicalModel, record: Record, *, x0=None) -> Energy
     """
     if isinstance(model.drive, BaseDisplacement):
         raise ValueError("model is driven by a base displacement, whose work no record shows; give forces.")
-    if record.inputs != model.inputs:
+    if record_of(record, "record").inputs != model.inputs:
         raise ValueError(f"record has {record.inputs} inputs, the model has {model.inputs}; give one for each.")
     state = np.zeros(2 * model.dofs) if x0 is None else np.ravel(np.asarray(x0, dtype=float))
     if state.shape != (2 * model.dofs,) or not np.isfinite(state).all():

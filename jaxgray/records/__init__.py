@@ -11,6 +11,8 @@ from jaxgray.records.excitation import white as white
 from jaxgray.records.joining import check_compatible as check_compatible
 from jaxgray.records.joining import concatenate as concatenate
 from jaxgray.records.joining import on_one_grid as on_one_grid
+from jaxgray.records.joining import record_of as record_of
+from jaxgray.records.joining import records_of as records_of
 from jaxgray.records.read import RecordWarning as RecordWarning
 from jaxgray.records.read import read_record as read_record
 from jaxgray.records.record import PeriodAverage as PeriodAverage

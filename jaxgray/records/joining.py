@@ -12,6 +12,26 @@ from jaxgray.records.stamped import grid_of
 SAMPLING_TIME_TOLERANCE = 1e-4
 
 
+def records_of(given: Record | Sequence[Record], name: str) -> list[Record]:
+    """The records of an argument.
+
+    **Arguments:** `given`: a record or several; `name` of the argument.
+
+    **Raises:** `ValueError` where it holds none, or something else.
+    """
+    if isinstance(given, (list, tuple)) and given:
+        return [record_of(one, name, "a Record or a list of them, at least one") for one in given]
+    return [record_of(given, name, "a Record or a list of them, at least one")]
+
+
+def record_of(given: Record, name: str, wanted: str = "a Record") -> Record:
+    """An argument that must be a record; `ValueError` where it is something else."""
+    if isinstance(given, Record):
+        return given
+    came = repr(given) if isinstance(given, (str, int, float, list, tuple)) else f"a {type(given).__name__}"
+    raise ValueError(f"{name} must be {wanted}; here is {came}. Read a file with read_record.")
+
+
 def check_compatible(records: Sequence[Record]) -> None:
     """Check that records can be treated as several experiments on one system.
 

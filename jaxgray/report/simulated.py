@@ -2,7 +2,7 @@
 
 from ..mechanics.fitted_run import fitted_run
 from ..numerics.whole_files import write_whole
-from ..records import Record
+from ..records import Record, record_of
 from .columns import columns_text, simulation_columns
 from .export import model_of
 
@@ -32,5 +32,5 @@ def write_simulation(result_or_model, record: Record, path) -> None:
         >>> print(pathlib.Path("simulation.csv").read_text().splitlines()[0])
         time [s],y1 measured,y1 simulated,y1 residual
     """
-    run = fitted_run(model_of(result_or_model), record).simulated
+    run = fitted_run(model_of(result_or_model), record_of(record, "record")).simulated
     write_whole(columns_text(simulation_columns(record, run)).encode(), path)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import jaxgray
 from jaxgray.records import Record, check_compatible, concatenate
 
 
@@ -236,3 +237,33 @@ def test_repr_is_one_screen():
     assert lines[3].split() == ["output", "y1", "2.236", "1", "3", "1", "velocity"]
     assert len(lines) == 5
     assert "nan" in repr(Record([1, 2], [np.nan, np.nan], 1.0))
+
+
+TAKING_RECORDS = {
+    "identify": jaxgray.identify,
+    "sweep": jaxgray.sweep,
+    "diagnose": jaxgray.diagnose,
+    "stabilisation": jaxgray.stabilisation,
+    "preflight": jaxgray.preflight,
+    "energy_balance": lambda record: jaxgray.energy_balance(jaxgray.MechanicalModel([[1.0]], [[1.0]], [[1.0]]), record),
+    "write_simulation": lambda record: jaxgray.write_simulation(
+        jaxgray.MechanicalModel([[1.0]], [[1.0]], [[1.0]]), record, "never.csv"
+    ),
+}
+
+
+@pytest.mark.parametrize("taking", TAKING_RECORDS.values(), ids=TAKING_RECORDS)
+@pytest.mark.parametrize(
+    "given, shown", [(5, "5"), ("axis.csv", "'axis.csv'"), ([], "[]"), (np.ones((3, 2)), "ndarray")]
+)
+def test_what_is_no_record_is_one_clear_error(taking, given, shown):
+    with pytest.raises(ValueError, match=r"^record must be a Record") as error:
+        taking(given)
+    assert shown in str(error.value) and "read_record" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("taking", [jaxgray.identify, jaxgray.sweep, jaxgray.diagnose])
+def test_held_out_records_that_are_none_are_named(taking):
+    record = Record(np.ones(50), np.zeros(50), 0.1)
+    with pytest.raises(ValueError, match=r"^validation must be a Record or a list of them, at least one; here is 3\."):
+        taking(record, validation=3)

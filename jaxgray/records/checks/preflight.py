@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from jaxgray.records.checks import channel_checks, relation_checks
 from jaxgray.records.checks.finding import SEVERITIES, RecordFinding
 from jaxgray.records.checks.looked import Looked
+from jaxgray.records.joining import record_of
 from jaxgray.records.record import Record
 
 # A new finding is one function and one row here; those of channels beside one another stand in the order in which one
@@ -63,6 +64,7 @@ def preflight(record: Record, *, relations: bool = True) -> list[RecordFinding]:
         >>> [finding.effect for finding in jaxgray.preflight(clipped)]
         ['sensor_clipping']
     """
+    record = record_of(record, "record")
     # Asked at every stage of a diagnosis.
     relations = relations and (record.stamps is None or record.stamps.jitter <= NEAR)
     known = _seen.setdefault(record, {})
