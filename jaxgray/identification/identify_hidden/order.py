@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...numerics.filters import filtered
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from ..hidden import HiddenEvidence, OrderEvidence, OrderStep, canonical_gauge
 from ..result import Identification
-from ..validation.structure_test import ar_by_bic
+from ..validation.structure_test import coloured_cost
 from .identify import identify_hidden
 from .request import HiddenRequest
 
@@ -118,9 +117,7 @@ def coloured_bic(result: Identification) -> float:
     total, count = 0.0, 0
     for k in range(result.model.outputs):
         e = np.concatenate([fit.residual[np.isfinite(fit.residual[:, k]), k] for fit in result.estimation])
-        e = e - e.mean()
-        innovations = filtered(ar_by_bic(e), [1.0], e)
-        total += len(e) * np.log(max(float(np.mean(innovations**2)), 1e-300))
+        total += coloured_cost(e)
         count += len(e)
     if result.refinement is None:
         free = 3 * result.model.dofs * (result.model.dofs + 1) // 2

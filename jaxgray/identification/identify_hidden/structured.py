@@ -30,7 +30,7 @@ from ..setup.structure import Structure
 from .canonical import canonical_fit
 from .elements import elements_of, undetermined_entries
 from .start import high_passed_realizations
-from .task import Task, assessed, collocated, in_windows, merit, model_of, refined_from, start_of
+from .task import Task, assessed, collocated, cost_in_colour, in_windows, merit, model_of, refined_from, start_of
 
 MOST_ALTERNATIVES = 4
 """Equally good sets of parameters that are refined first, and that are kept."""
@@ -41,6 +41,12 @@ others have, realisations that are tried of every filter, and random starts for 
 
 POOR_MATCH = 1e-4
 """Mean squared relative error of a structure's transfer function from which the slowest poles are not trusted."""
+
+DRIFTS = "Slow drift outweighs the vibration: refined with noise at the forces too (noise='innovations')."
+"""What is said where the noise was not what was asked for."""
+
+CLEARLY = 100.0
+"""Fall of −2 ln L from which another noise is clearly likelier."""
 
 AS_LIKELY = 6.0
 """Rise of −2 ln L up to which another set of parameters counts as equally good."""
@@ -74,7 +80,10 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
     if loose and ends.errors[0] > POOR_MATCH:
         # What drift made of the slowest poles says nothing of a body that no spring holds.
         others = matched(family, target, np.sort(rates)[2 * loose :], given)
-        ends = max((ends, others), key=lambda found: _matched_merit(task, family, found.parameters[0], best, tau, rows))
+        if others.errors[0] < POOR_MATCH:
+            ends = others
+        else:
+            ends = max((ends, others), key=lambda one: _matched_merit(task, family, one.parameters[0], best, tau, rows))
     theta = np.where(held, np.nan_to_num(given), ends.parameters)
     consistent: list[Start] = []
     if ends.errors[0] > POOR_MATCH:
@@ -89,6 +98,11 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
     if task.request.refine:
         task.progress.stage("refining")
         task, refinements = _all_refined(task, family, [starts[k] for k in order], form, held)
+        if task.request.noise == "output-error" and task.records is not task.whole:
+            noisy = replace(task, request=replace(task.request, noise="innovations"))
+            likelier = _likelier_with_force_noise(task, noisy, starts[order[0]], refinements[0], form, held)
+            if likelier is not None:
+                task, refinements, free, notes = noisy, [likelier], None, (*notes, DRIFTS)
         if outcome.complete:
             # From equally good starts not every refinement arrives; what equals the best one is known from it alone.
             exchanged = _exchanged(task, family, _elements(refinements[0]), given, (best, tau, rows))
@@ -191,6 +205,19 @@ def _all_refined(task: Task, family: Family, starts: list[Start], form, held) ->
     if not ends:
         raise failure
     return task, _no_two_alike(ends, family)
+
+
+def _likelier_with_force_noise(task, noisy, start, end: Refinement, form, held) -> Refinement | None:
+    """Where the residual has a colour: the refinement with noise at the forces, if it is likelier than the one without
+    under that colour. Slow drift that passes for white noise leads a refinement away."""
+    coloured = cost_in_colour(task, end)
+    if not coloured < end.cost - CLEARLY:
+        return None
+    try:
+        other = refined_from(noisy, start, form, held)
+    except ComputationError:
+        return None
+    return other if other.cost < coloured - CLEARLY else None
 
 
 def _refined(task: Task, starts: list[Start], form, held) -> tuple[list[Refinement], ComputationError | None]:

@@ -15,7 +15,7 @@ from ...records import Record
 from ..hidden import HigherOrder, canonical_gauge
 from ..initialization.guard import lost
 from ..initialization.rigid import DRIFT, TURNED, phases, rigid_modes, windows
-from ..initialization.start import Start, total_deviation
+from ..initialization.start import Start, model_run, total_deviation
 from ..refinement.refine import Refinement, refine, start_kept
 from ..result import Identification, assess
 from ..setup.prediction import Batch, Setting, best_run
@@ -23,6 +23,7 @@ from ..setup.preparation import Signals, prepare
 from ..setup.structure import Structure
 from ..setup.units import Scaling
 from ..subspace.grid import score
+from ..validation.structure_test import coloured_cost
 from .elements import at_zero
 from .request import HiddenRequest
 
@@ -97,6 +98,16 @@ def in_windows(task: Task, start: Start) -> Task:
         return task
     pieces = windows(task.records)
     return replace(task, records=pieces, signals=[prepare(r, task.scaling) for r in pieces])
+
+
+def cost_in_colour(task: Task, end: Refinement) -> float:
+    """−2 ln L of the free runs of a refinement under the colour that their residual has, output by output."""
+    matrices, total = (end.mass, end.damping, end.stiffness), 0.0
+    runs = [np.asarray(model_run(matrices, task.setting, s)[0]) for s in task.signals]
+    for k in range(task.outputs):
+        e = [(np.asarray(s.y) - run)[np.asarray(s.kept)[:, k] > 0, k] for s, run in zip(task.signals, runs)]
+        total += coloured_cost(np.concatenate(e))
+    return total if np.isfinite(total) else np.inf
 
 
 def refined_from(task: Task, start: Start, form: Structure, held) -> Refinement:

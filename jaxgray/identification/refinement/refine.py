@@ -239,11 +239,10 @@ def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovati
         best = min(ends, key=lambda end: end.cost)
         here, first = best.at, best.products
         if innovations:
-            noisy = begin_nuisance(batch, setting, offset=offset, innovations=True)
-            nuisance = Nuisance(here.nuisance.x0, here.nuisance.offset, noisy.noise)
-            here = Iterate(here.blocks, nuisance, here.whitening)
-            blocks, nuisance, steps = levenberg_marquardt(here, criterion)
-            here, taken, first = Iterate(blocks, nuisance, here.whitening), taken + int(steps), None
+            # Noise at the forces bends the free run, by which the steps until here went: from the start as well.
+            ends = [_with_force_noise(at, criterion, batch, setting) for at in (begun(LIFTS[0] * edge), here)]
+            taken += sum(steps for _, _, steps in ends)
+            (here, first, _) = min(ends, key=lambda end: likelihood_cost(end[1], criterion))
 
     end = conic_steps(here, criterion, first=first, fixed=fixed)
     result = RESULTS.successful if end.converged else RESULTS.refinement_diverged
@@ -261,6 +260,16 @@ def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovati
     if not np.isfinite(end.normal.cost):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement")
     return _refinement(end, criterion, taken, result)
+
+
+def _with_force_noise(at: Iterate, criterion: Criterion, batch: Batch, setting: Setting):
+    """Steps in the innovations form: where they end, the products there, and how many there were."""
+    offset = at.nuisance.offset is not None
+    noise = begin_nuisance(batch, setting, offset=offset, innovations=True).noise
+    blocks, nuisance, steps = levenberg_marquardt(
+        Iterate(at.blocks, Nuisance(at.nuisance.x0, at.nuisance.offset, noise), at.whitening), criterion
+    )
+    return Iterate(blocks, nuisance, at.whitening), criterion.evaluate(blocks, nuisance), int(steps)
 
 
 def start_kept(

@@ -165,6 +165,12 @@ def _ringing(poles, residual, u, direct: bool) -> float:
     return float(np.mean(shares))
 
 
+def coloured_cost(e: Float[np.ndarray, " samples"]) -> float:
+    """−2 ln L of a residual under the colour that it has itself, but for a constant."""
+    e = e - e.mean()
+    return float(len(e) * np.log(max(float(np.mean(filtered(ar_by_bic(e), [1.0], e) ** 2)), 1e-300)))
+
+
 def ar_by_bic(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " coefficients"]:
     """1, −a_1, … of the AR model that BIC chooses, by Levinson's recursion; 1 alone for white noise."""
     n = len(x)
