@@ -201,7 +201,8 @@ def _overview(document: dict) -> str:
         "a page with a picture, its parameters and what looks like it. "
         f"[Wrong numbers of a given model]({ERRORS}) and [findings on the record itself]({FINDINGS}) have pages too.",
         "`jaxgray effects` prints the same list. A diagnosis looks for all of them, or for those that `--only` names:",
-        f"```sh\njaxgray effects --json effects.json\njaxgray diagnose record.csv {CHANNELS} --only {ONLY}\n```",
+        f"```sh\njaxgray effects --json effects.json\n"
+        f"jaxgray diagnose record.csv {CHANNELS} \\\n    --only {ONLY}\n```",
     ]
     for family, effects in families.items():
         rows = [f"| [{_title(one['id'])}]({one['id']}.md) | `{one['law']}` | {one['signature']} |" for one in effects]

@@ -29,8 +29,6 @@ NOT_RUN = {
 }
 """Commands by how they begin."""
 
-NO_PROGRAMS = {"bibtex": "test_readme.py reads it", "text": "an output, or a law"}
-
 IN_WHOLE_CAMPAIGNS = {
     f"jaxgray demo --effect {id}": "a whole diagnosis for every page of an effect; `jaxgray demo` runs here"
     for id in DEMONSTRATED
@@ -171,6 +169,8 @@ def test_a_command_runs_and_says_what_it_found(run, block, line):
     said = run.command(block, line)
     if ">" not in line and block not in map(above, OUTPUTS):
         assert SAYS[begins(line, SAYS)] in " ".join(said.split()), said
+    if line.startswith("jaxgray demo"):
+        assert "not found" not in said and "found without being there" not in said, said
     if begins(line, LEAVES) is not None:
         LEAVES[begins(line, LEAVES)](run.place(block)[0])
 
@@ -243,7 +243,9 @@ def test_what_is_printed_is_what_is_shown(run, block):
 
 
 def test_every_block_is_of_a_kind_that_is_run():
+    """Outputs are compared where they are shown; of laws of an effect nothing can be run."""
     assert {block.language for block in BLOCKS} == {"sh", "py", "python", "text", "bibtex"}
+    assert [block.page for block in BLOCKS if block.language == "bibtex"] == ["README.md"]
     # What is indented by four is code to Markdown, too, except below the items of a list.
     for page, text in TEXTS.items():
         plain = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
