@@ -2,6 +2,8 @@
 
 import collections
 import functools
+import json
+from pathlib import Path
 
 import jsonschema
 
@@ -14,6 +16,7 @@ class Documents:
     def __init__(self):
         self.valid: collections.Counter = collections.Counter()
         self.faults: list[str] = []
+        self._looked_at: set[tuple[Path, int]] = set()
 
     def check(self, document) -> None:
         """Look at what is about to be written; what has no "schema" is none of ours."""
@@ -26,6 +29,15 @@ class Documents:
             self.faults.append(f"{name}: {fault(error)}")
         else:
             self.valid[name] += 1
+
+    def check_folder(self, folder: Path) -> None:
+        """Look at every document that a command has left in a folder, whatever process has written it."""
+        for path in folder.rglob("*.json"):
+            one = path, path.stat().st_mtime_ns
+            if one in self._looked_at:
+                continue
+            self._looked_at.add(one)
+            self.check(json.loads(path.read_text(encoding="utf-8")))
 
     def watch(self, function):
         """The function, whose results are checked."""

@@ -22,7 +22,7 @@ from .refinement.refine import Refinement, start_kept
 from .refinement.refine import refine as refine_model
 from .refinement.structured_start import is_relaxed, refine_structured, relaxed
 from .result import Identification, assess
-from .setup.options import drive_of, fixed_entries, parse_fix, pick, with_known
+from .setup.options import drive_of, fixed_entries, parse_fix, pick, scale_to, with_known
 from .setup.prediction import Batch, Setting
 from .setup.preparation import Signals, prepare, scaling_of
 from .setup.structure import Structure, structure_of
@@ -160,8 +160,8 @@ def identify(
 
     progress.stage("preparing")
     scaling = scaling_of(records)
-    normalised = not isinstance(drive, Force) and not any(name == "mass" for name, _, _ in entries)
-    if normalised:
+    based = not isinstance(drive, Force)
+    if based and not any(name == "mass" and value != 0.0 for (name, _, _), value in entries.items()):
         entries["mass", 0, 0] = 1.0
         notes.append(
             "Base excitation determines M⁻¹D and M⁻¹K only: the model is normalised to mass[0,0] = 1; give a mass "
@@ -193,8 +193,12 @@ def identify(
 
     def physical(start: Start) -> tuple:
         M, D, K = nearest_physical(start.matrices)
-        if normalised:
-            M, D, K = (X * known["mass"][0, 0] / M[0, 0] for X in (M, D, K))
+        if based:
+            # Base motion determines M⁻¹D and M⁻¹K: they stay as they are where masses are put in.
+            M, D, K = (np.asarray(X) * scale_to(known["mass"], M) for X in (M, D, K))
+            given = with_known(M, known["mass"])
+            D, K = (given @ np.linalg.solve(M, X) for X in (D, K))
+            M, D, K = nearest_physical((given, D, K))
         return tuple(with_known(X, known[name]) for X, name in ((M, "mass"), (D, "damping"), (K, "stiffness")))
 
     start = starts[0]

@@ -17,6 +17,8 @@ SIZES = Path(__file__).parent / "smallest_sizes.json"
 
 CHANNELS = "--inputs u1,u2 --outputs y1,y2"
 
+ONLY = "coulomb_friction,stribeck_friction"
+
 OVERVIEW, ERRORS, FINDINGS = "index.md", "model_errors.md", "record_findings.md"
 
 
@@ -100,7 +102,7 @@ def _page(effect: AbstractEffect, described: dict, shown: str, size: dict | None
         *_alike(effect),
         *_smallest(effect, size),
         "## Look for it alone",
-        _commands(effect),
+        _alone(effect),
         "## Reference",
         f"{effect.reference}.",
     ]
@@ -180,13 +182,13 @@ def _in_newtons(unit: str) -> str:
     return "" if unit == "1" else unit.replace("force", "N").replace("length", "m")
 
 
-def _commands(effect: AbstractEffect) -> str:
-    channels = f"{CHANNELS} --scheduling p" if effect.scheduled else CHANNELS
-    lines = [f"jaxgray diagnose record.csv {channels} --only {effect.id}"]
-    if effect.id in DEMONSTRATED:
-        lines.append(f"jaxgray demo --effect {effect.id}")
-    text = "```sh\n" + "\n".join(lines) + "\n```"
-    return f"{text}\n\nThe second command hides it in a simulated record and finds it." if len(lines) > 1 else text
+def _alone(effect: AbstractEffect) -> str:
+    options = f"`--scheduling p --only {effect.id}`" if effect.scheduled else f"`--only {effect.id}`"
+    text = f"A diagnosis looks for it alone with {options}."
+    if effect.id not in DEMONSTRATED:
+        return text
+    demo = f"```sh\njaxgray demo --effect {effect.id}\n```"
+    return f"{text} This command hides it in a simulated record and finds it:\n\n{demo}"
 
 
 def _overview(document: dict) -> str:
@@ -198,7 +200,9 @@ def _overview(document: dict) -> str:
         f"What a diagnosis can name: {len(document['effects'])} laws that a linear model may lack, by family. Each has "
         "a page with a picture, its parameters and what looks like it. "
         f"[Wrong numbers of a given model]({ERRORS}) and [findings on the record itself]({FINDINGS}) have pages too.",
-        "`jaxgray effects` prints the same list, and `jaxgray effects --json OUT` writes it for programs.",
+        "`jaxgray effects` prints the same list. A diagnosis looks for all of them, or for those that `--only` names:",
+        f"```sh\njaxgray effects --json effects.json\n"
+        f"jaxgray diagnose record.csv {CHANNELS} \\\n    --only {ONLY}\n```",
     ]
     for family, effects in families.items():
         rows = [f"| [{_title(one['id'])}]({one['id']}.md) | `{one['law']}` | {one['signature']} |" for one in effects]

@@ -45,8 +45,12 @@ def write_gallery(folder: Path) -> None:
         words = f"Left: {panels[0].title}. Right: {panels[1].title}."
         picture = f'<div class="picture" markdown>\n\n![{words}](gallery/{name}.svg)\n\n</div>'
         parts += [f"## {shown['title']}", shown["text"], picture, _table(shown["table"])]
-        parts.append(f"```sh\npython examples/{name}.py{OPTIONS.get(name, '')}\n```")
+        parts.append(_command(name))
     (folder / "gallery.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+
+
+def _command(name: str) -> str:
+    return f"```sh\npython examples/{name}.py{OPTIONS.get(name, '')}\n```"
 
 
 def keep(shown: dict, path: Path) -> None:

@@ -12,6 +12,7 @@ import sys
 import numpy as np
 import pytest
 import scipy.linalg
+from documents import WRITTEN
 from independent import REFERENCE, REFERENCE_TIME, reference_record, relative_errors
 
 import jaxgray
@@ -89,6 +90,7 @@ def test_a_later_process_runs_the_programs_of_the_first(records, tmp_path):
 
     def identified_by_another(name):
         subprocess.run([*command, str(tmp_path / name)], check=True, env=here, stderr=subprocess.DEVNULL)
+        WRITTEN.check_folder(tmp_path)
         programs = [path.stat() for path in tmp_path.glob("jaxgray/xla/*/jaxgray-programs/*")]
         return strict((tmp_path / name).read_text()), {(one.st_ino, one.st_mtime_ns) for one in programs}
 

@@ -206,6 +206,21 @@ def test_base_acceleration(fix):
         identify(record, excitation="base-acceleration", relative=False)
 
 
+@pytest.mark.parametrize("fix", ["mass[0,0]=200", "mass[1,1]=100", "mass[0,1]=0"])
+def test_one_known_mass_sets_the_scale_that_a_moving_base_leaves_open(fix):
+    M, D, K = np.diag([2.0, 1.0]), np.array([[1.2, -0.4], [-0.4, 0.9]]), np.array([[300.0, -120.0], [-120.0, 200.0]])
+    rng = np.random.default_rng(0)
+    u = data.smooth_noise(rng, SAMPLES, 1, 0.2)
+    y = data.simulate(M, D, K, u, 0.01, E=-M @ np.ones((2, 1)), hold="linear")
+    record = Record(u, y + 1e-3 * y.std() * rng.standard_normal(y.shape), 0.01, hold="linear")
+    found = identify(record, excitation="base-acceleration", relative=True, fix=fix)
+    # Where only a zero is known the scale is still open, and the first mass is one. Ratios are hardly determined.
+    assert found.mass[0, 0] == pytest.approx(1.0 if fix == "mass[0,1]=0" else 200.0, rel=0.2)
+    truth = np.linalg.solve(M, K)
+    assert np.linalg.norm(np.linalg.solve(found.mass, found.stiffness) - truth) < 0.002 * np.linalg.norm(truth)
+    assert any("normalised" in text for text in found.warnings) == (fix == "mass[0,1]=0")
+
+
 @pytest.mark.parametrize("seed", [1, 147])
 def test_base_displacement(seed):
     """The second record's likeliest cell gives a physical model with the damping cut off, from which the refinement

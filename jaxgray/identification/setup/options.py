@@ -184,6 +184,18 @@ def fixed_entries(
     return np.concatenate(mask), known
 
 
+def scale_to(known: np.ndarray, matrix: np.ndarray) -> float:
+    """The factor of a matrix that brings it nearest to its known entries.
+
+    **Arguments:** `known`: not all zero, NaN where it is not known; `matrix`: positive definite.
+    """
+    given = np.isfinite(known)
+    on_diagonal = given & np.eye(len(known), dtype=bool)
+    chosen = on_diagonal if np.any(known[on_diagonal]) else given
+    a, b = known[chosen], np.asarray(matrix)[chosen]
+    return float(np.abs(a @ b) / (b @ b))
+
+
 def with_known(matrix: np.ndarray, known: np.ndarray) -> np.ndarray:
     """The matrix with known entries put in, pulled towards its diagonal until it is positive semidefinite.
 
