@@ -233,20 +233,31 @@ def row_auto(seeds):
 # The measured motor bench.
 
 
-def lines_error(model, u, y, period=2500):
-    """Relative error of the load angle at the excited lines, from the measured current: the hidden coordinate's
-    response times the current's lines. The load follows the motor at rest, which sets the hidden coordinate's scale."""
+def lines_error(model, u, motor, load, period=2500):
+    """Relative errors of the load angle at the excited lines: predicted from the motor angle, and from the current alone.
+
+    The hidden coordinate follows from the measured one, (−ω² M₂₂ + iω D₂₂ + K₂₂) h = −(…)₂₁ q; the load follows the
+    motor at rest, which sets its scale. From the current alone friction of the motor, which no linear model has, is in
+    it: two inertias on a spring with a delay, fitted to the load angle itself, leave 8.4 % and 7.2 % of it, and one
+    ratio of load to motor fitted to both angles 3.9 % and 4.3 %.
+    """
     n = len(u) // period
-    U, Y = (np.fft.rfft(x[: n * period].reshape(n, period).mean(axis=0)) for x in (u, y))
+    U, Y, L = (np.fft.rfft(x[: n * period].reshape(n, period).mean(axis=0)) for x in (u, motor, load))
     excited = np.flatnonzero(np.abs(U) > 0.1 * np.max(np.abs(U)))
     excited = excited[excited > 0]
     omega = 2 * np.pi * excited / (period / 2500.0)
     M, D, K = (np.asarray(X) for X in (model.mass, model.damping, model.stiffness))
     hold = (1 - np.exp(-1j * omega / 2500.0)) / (1j * omega / 2500.0)
+    Z = K + 1j * omega[:, None, None] * D - omega[:, None, None] ** 2 * M
     scale = -K[1, 1] / K[0, 1]
-    H = scale * np.array([np.linalg.solve(K + 1j * w * D - w**2 * M, [1.0, 0.0])[1] for w in omega])
-    predicted = H * hold * U[excited]
-    return float(np.linalg.norm(predicted - Y[excited]) / np.linalg.norm(Y[excited])), len(excited)
+    followed = -scale * Z[:, 1, 0] / Z[:, 1, 1] * Y[excited]
+    driven = scale * np.linalg.solve(Z, np.broadcast_to([[1.0], [0.0]], (len(Z), 2, 1)))[:, 1, 0] * hold * U[excited]
+    size = np.linalg.norm(L[excited])
+    return {
+        "from_motor": float(np.linalg.norm(followed - L[excited]) / size),
+        "from_current": float(np.linalg.norm(driven - L[excited]) / size),
+        "lines": len(excited),
+    }
 
 
 def row_motor_bench(_):
@@ -270,7 +281,7 @@ def row_motor_bench(_):
             "damping_ratio": [float(x) for x in np.nan_to_num(modes.damping_ratio)],
             "antiresonance_damping": zeros.damping_ratio.tolist(),
             "warnings": list(found.warnings),
-            "load_error": [lines_error(found.model, t[:, 1], t[:, 3]) for t in columns],
+            "load_error": [lines_error(found.model, *t[:, 1:4].T) for t in columns],
         }
     return result
 
