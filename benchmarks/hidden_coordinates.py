@@ -234,7 +234,7 @@ def row_auto(seeds):
 
 
 def lines_error(model, u, motor, load, period=2500):
-    """Relative errors of the load angle at the excited lines: predicted from the motor angle, and from the current alone.
+    """Relative errors of the load angle at the excited lines: followed from the motor angle, from the current alone.
 
     The hidden coordinate follows from the measured one, (−ω² M₂₂ + iω D₂₂ + K₂₂) h = −(…)₂₁ q; the load follows the
     motor at rest, which sets its scale. From the current alone friction of the motor, which no linear model has, is in
