@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ...mechanics.drives import Force
 from ...mechanics.model import MechanicalModel
-from ...numerics.outcomes import ComputationError
+from ...numerics.outcomes import RESULTS, ComputationError
 from ..hidden import (
     Connections,
     Family,
@@ -22,7 +22,7 @@ from ..hidden import (
     matched,
     realized_response,
 )
-from ..initialization.start import Start
+from ..initialization.start import Start, total_deviation
 from ..refinement.normal_equations import join
 from ..refinement.refine import Refinement, StructurePrice
 from ..result import Identification
@@ -44,6 +44,9 @@ POOR_MATCH = 1e-4
 
 DRIFTS = "Slow drift outweighs the vibration: refined with noise at the forces too (noise='innovations')."
 """What is said where the noise was not what was asked for."""
+
+EXPLAINED = 1.02
+"""Mean square that a refinement leaves, by that of the best realisation, up to which nothing better is looked for."""
 
 CLEARLY = 100.0
 """Fall of −2 ln L from which another noise is clearly likelier."""
@@ -85,19 +88,26 @@ def structured(task: Task, found, connections: Connections, notes: tuple[str, ..
         else:
             ends = max((ends, others), key=lambda one: _matched_merit(task, family, one.parameters[0], best, tau, rows))
     theta = np.where(held, np.nan_to_num(given), ends.parameters)
-    consistent: list[Start] = []
+    consistent, noisy = [], None
     if ends.errors[0] > POOR_MATCH:
-        consistent, others = _consistent(task, family, found, given)
-        theta = np.concatenate([*others, theta])
+        matches = _matches(task, family, found, given)
+        consistent = _consistent(family, matches)
+        noisy = max(matches, key=lambda match: merit(task, _begun(task, family, match)), default=None)
+        theta = np.concatenate([*(match[1][None] for match in consistent), theta])
     outcome = determinacy(family, theta[0], connections.elements, units=units, held=held)
     candidates = theta[len(consistent) :][: MOST_ALTERNATIVES if outcome.complete else 1]
-    starts = consistent + [start_of(task, family.matrices(x), best, tau, rows, "subspace") for x in candidates]
+    starts = [start_of(task, family.matrices(x), best, tau, rows, "subspace") for x in candidates]
+    if noisy is not None and not consistent:
+        # Noise bends every realisation, and the structure has the transfer function of none.
+        consistent = [noisy]
+    starts = [_begun(task, family, match) for match in consistent] + starts
     order = np.argsort([-s.score for s in starts], kind="stable")
     start = starts[order[0]]
     refinement, others = None, []
     if task.request.refine:
         task.progress.stage("refining")
-        task, refinements = _all_refined(task, family, [starts[k] for k in order], form, held)
+        enough = EXPLAINED * np.asarray(best.deviation)
+        task, refinements = _all_refined(task, family, [starts[k] for k in order], form, held, enough)
         if task.request.noise == "output-error" and task.records is not task.whole:
             noisy = replace(task, request=replace(task.request, noise="innovations"))
             likelier = _likelier_with_force_noise(task, noisy, starts[order[0]], refinements[0], form, held)
@@ -159,26 +169,34 @@ def consistent_models(task: Task, found, connections: Connections) -> list[Mecha
     """Models of the structure whose transfer function a realisation of the record has, the best first, not refined."""
     known, _ = _known(task, connections)
     _, family, _, given = _family(task, connections, known)
-    return [model_of(task, one, one, known) for one in _consistent(task, family, found, given)[0]]
+    starts = [_begun(task, family, match) for match in _consistent(family, _matches(task, family, found, given))]
+    return [model_of(task, one, one, known) for one in starts]
 
 
-def _consistent(task: Task, family: Family, found, given) -> tuple[list[Start], list[np.ndarray]]:
-    """Models of the structure whose transfer function a realisation of the record has, the best first, and their
-    parameters: what the structure lacks bends every realisation differently, and hardly any of them into another one
-    that the structure can have."""
+def _matches(task: Task, family: Family, found, given) -> list[tuple[float, np.ndarray, tuple]]:
+    """What the structure makes of every realisation, the best match first: its error, parameters, the realisation."""
     matches = []
     for model, tau, rows in (one for some in (found, *high_passed_realizations(task)) for one in some[:MOST_TRIED]):
         with contextlib.suppress(ComputationError, np.linalg.LinAlgError):
             ends = matched(family, *_target(task, model, None), given, starts=FEW_STARTS)
-            if ends.errors[0] < POOR_MATCH:
-                matches.append((float(ends.errors[0]), ends.parameters[0], (model, tau, rows)))
-    matches.sort(key=lambda match: match[0])
+            theta = np.where(np.isfinite(given), np.nan_to_num(given), ends.parameters[0])
+            matches.append((float(ends.errors[0]), theta, (model, tau, rows)))
+    return sorted(matches, key=lambda match: match[0])
+
+
+def _begun(task: Task, family: Family, match) -> Start:
+    return start_of(task, family.matrices(match[1]), *match[2], "subspace")
+
+
+def _consistent(family: Family, matches) -> list:
+    """Those whose transfer function the structure has: what it lacks bends every realisation differently, hardly any of
+    them into another one that it can have."""
     kept: list[tuple] = []
     for match in matches:
-        if len(kept) < MOST_CONSISTENT and not any(alike(match[1], other[1], family) for other in kept):
+        good = match[0] < POOR_MATCH and len(kept) < MOST_CONSISTENT
+        if good and not any(alike(match[1], other[1], family) for other in kept):
             kept.append(match)
-    theta = [np.where(np.isfinite(given), np.nan_to_num(given), x)[None] for _, x, _ in kept]
-    return [start_of(task, family.matrices(x[0]), *one[2], "subspace") for x, one in zip(theta, kept)], theta
+    return kept
 
 
 def _matched_merit(task: Task, family: Family, theta, model: HigherOrder, tau: float, rows: int) -> float:
@@ -198,10 +216,13 @@ def _target(task: Task, best: HigherOrder, free):
     return lambda s: realized_response(A, B, C, Dy, s), np.abs(np.linalg.eigvals(A))
 
 
-def _all_refined(task: Task, family: Family, starts: list[Start], form, held) -> tuple[Task, list[Refinement]]:
-    """Refinements from equally good starts, no two alike."""
+def _all_refined(task: Task, family: Family, starts: list[Start], form, held, enough) -> tuple[Task, list[Refinement]]:
+    """Refinements from several starts, no two alike; from the first alone where it leaves no more than `enough`."""
     task = in_windows(task, starts[0])
-    ends, failure = _refined(task, starts, form, held)
+    ends, failure = _refined(task, starts[:1], form, held)
+    if not (ends and _explains(task, ends[0], enough)):
+        further, other = _refined(task, starts[1:], form, held)
+        ends, failure = ends + further, other or failure
     if not ends:
         raise failure
     return task, _no_two_alike(ends, family)
@@ -218,6 +239,13 @@ def _likelier_with_force_noise(task, noisy, start, end: Refinement, form, held) 
     except ComputationError:
         return None
     return other if other.cost < coloured - CLEARLY else None
+
+
+def _explains(task: Task, end: Refinement, enough: Float[np.ndarray, " outputs"]) -> bool:
+    if end.result != RESULTS.successful or task.records is not task.whole:
+        return False
+    left = total_deviation((end.mass, end.damping, end.stiffness), task.setting, task.complete)
+    return bool(np.all(left <= enough))
 
 
 def _refined(task: Task, starts: list[Start], form, held) -> tuple[list[Refinement], ComputationError | None]:
