@@ -16,7 +16,8 @@ from ..validation.reach import check_reach
 from .canonical import canonical
 from .request import HiddenRequest, example
 from .start import realizations_of
-from .structured import consistent_models, structured
+from .structured import structured
+from .structured_starts import consistent_models
 from .task import Task, collocated, run_of
 
 
