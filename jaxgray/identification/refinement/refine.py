@@ -31,6 +31,7 @@ from .cholesky import (
 )
 from .conic import ConicEnd, conic_steps
 from .continuation import lengthened
+from .innovations import information_beside_noise
 from .normal_equations import FLOOR, Criterion, Iterate, Normal, Prior, Products
 
 LIFTS = (1e-3, 1e-1)
@@ -99,8 +100,9 @@ def levenberg_marquardt(
 ) -> tuple[list[Array], Nuisance, Array]:
     """One optimistix Levenberg-Marquardt run with given weights, the noise parameters among what it moves.
 
-    Parameters are taken in units of their first Jacobian column, so that the damping treats all alike; the
-    step solves the normal equations, which for a tall Jacobian costs a third of its QR.
+    Parameters are taken in units of their first Jacobian column, so that the damping treats all alike, and errors in
+    units of their first root mean square, so that the tolerances are those of any record; the step solves the normal
+    equations, which for a tall Jacobian costs a third of its QR.
 
     **Arguments:** `begin`, its blocks positive definite; `criterion`; `max_steps`.
 
@@ -110,10 +112,15 @@ def levenberg_marquardt(
     scales = [jnp.trace(block) / block.shape[0] for block in begin.blocks]
     start, unravel = ravel_pytree((pack(begin.blocks, scales, logarithmic), begin.nuisance))
 
-    def errors(theta):
+    def raw(theta):
         vectors, nuisance = unravel(theta)
         blocks = unpack(vectors, scales, logarithmic, criterion.sizes)
         return criterion.errors(Iterate(blocks, nuisance, begin.whitening))[0].ravel()
+
+    level = jnp.maximum(jnp.sqrt(jnp.sum(raw(start) ** 2) / jnp.sum(criterion.batch.kept)), FLOOR)
+
+    def errors(theta):
+        return raw(theta) / level
 
     size = jnp.linalg.norm(jax.jacfwd(errors)(start), axis=0)
     size = jnp.where(size > 1e-12 * jnp.max(size), size, jnp.max(size)) / _BOLDNESS
@@ -286,6 +293,12 @@ def start_kept(
 def _refinement(end: ConicEnd, criterion: Criterion, taken: int, result: RESULTS) -> Refinement:
     M, D, K = criterion.matrices(end.at.blocks)
     count = criterion.count - end.normal.information.shape[0]
+    normal, variance = end.normal, end.normal.cost / max(count, 1.0)
+    if end.at.nuisance.noise is not None:
+        information = information_beside_noise(end.at, criterion, float(variance))
+        if criterion.prior is not None:
+            information[np.diag_indices(len(criterion.prior.precision))] += criterion.prior.precision
+        normal = Normal(normal.cost, normal.gradient, information)
     return Refinement(
         M,
         D,
@@ -293,8 +306,8 @@ def _refinement(end: ConicEnd, criterion: Criterion, taken: int, result: RESULTS
         end.at.blocks,
         end.at.nuisance,
         end.at.whitening,
-        end.normal,
-        end.normal.cost / max(count, 1.0),
+        normal,
+        variance,
         (taken, end.steps),
         end.decrement,
         likelihood_cost(end.products, criterion),
