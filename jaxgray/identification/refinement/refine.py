@@ -112,21 +112,18 @@ def levenberg_marquardt(
     scales = [jnp.trace(block) / block.shape[0] for block in begin.blocks]
     start, unravel = ravel_pytree((pack(begin.blocks, scales, logarithmic), begin.nuisance))
 
-    def raw(theta):
+    def errors(theta):
         vectors, nuisance = unravel(theta)
         blocks = unpack(vectors, scales, logarithmic, criterion.sizes)
         return criterion.errors(Iterate(blocks, nuisance, begin.whitening))[0].ravel()
 
-    level = jnp.maximum(jnp.sqrt(jnp.sum(raw(start) ** 2) / jnp.sum(criterion.batch.kept)), FLOOR)
-
-    def errors(theta):
-        return raw(theta) / level
-
-    size = jnp.linalg.norm(jax.jacfwd(errors)(start), axis=0)
+    J, first = jax.jacfwd(lambda theta: (errors(theta),) * 2, has_aux=True)(start)
+    level = jnp.maximum(jnp.sqrt(jnp.sum(first**2) / jnp.sum(criterion.batch.kept)), FLOOR)
+    size = jnp.linalg.norm(J, axis=0) / level
     size = jnp.where(size > 1e-12 * jnp.max(size), size, jnp.max(size)) / _BOLDNESS
 
     def scaled_errors(delta, _):
-        return errors(start + delta / size)
+        return errors(start + delta / size) / level
 
     solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-2 / _BOLDNESS, linear_solver=lx.Normal(lx.Cholesky()))
     solution = optx.least_squares(
