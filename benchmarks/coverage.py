@@ -113,6 +113,9 @@ def fails(found, sure):
     for name in ("all", "frequency", "ratio"):
         for what, low, high in (("ratio", 0.9, 1.1), ("covered", 93.0, 97.0)):
             value, spread = found[name][what]
+            if what == "covered":
+                # All or none covered in a few records has a spread, too.
+                spread = max(spread, 100 * np.sqrt(0.95 * 0.05 / found["records"]))
             if value + sure * spread < low or value - sure * spread > high:
                 said.append(f"{name} {what} {value:.2f} ± {spread:.2f}")
     return said

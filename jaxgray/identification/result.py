@@ -38,6 +38,9 @@ CONTRADICTED = 10.0
 FORCE_NOISE = 0.01
 """Probability at which noise is said to enter at the forces."""
 
+FORCE_SAMPLES = 5.0
+"""Independent samples of noise at a force up to which its size is hardly known: to a third at best."""
+
 ROUNDED = 0.5
 """Standard deviation of rounding, relative to the residual, from which it does not pass for noise: other noise is then
 less than half a step (Widrow & Kollár, *Quantization Noise*, 2008)."""
@@ -262,6 +265,7 @@ def assess(
                 "form": "innovations",
                 "force_to_output_noise": np.abs(values[: batch.u.shape[2]]).tolist(),
             }
+            warnings += _hardly_noisy(refinement, batch.u.shape[2], records[0].input_names)
         warnings += _warnings(refinement, spread, found, tests, model, chance)
         warnings += _rounded(records[0], estimation[0], notes)
     warnings += _fit_warnings(estimation, model)
@@ -371,6 +375,19 @@ def _dear(delta_bic: float) -> list[str]:
     if not delta_bic > CONTRADICTED:
         return []
     return [f"The record contradicts the structure asked for (ΔBIC {delta_bic:.3g}); free M, D, K fit better."]
+
+
+def _hardly_noisy(refinement: Refinement, inputs: int, names: tuple[str, ...]) -> list[str]:
+    ratios, errors = (np.asarray(X)[:inputs] for X in (refinement.nuisance.noise, refinement.noise_errors))
+    # The variance of a variance from n samples is 2/n of its square; a ratio is a square root of one.
+    worth = ratios**2 / np.maximum(2 * errors**2, 1e-300)
+    open_ones = [name for name, n in zip(names, worth) if not n > FORCE_SAMPLES]
+    if not open_ones:
+        return []
+    return [
+        f"Noise at the forces is hardly determined by this record ({', '.join(open_ones)}): if it is larger than "
+        "found, error bars are too small, the more so the lighter the damping."
+    ]
 
 
 def _rounded(record: Record, fit: Fit, notes: tuple[str, ...]) -> list[str]:

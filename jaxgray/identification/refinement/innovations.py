@@ -43,6 +43,8 @@ def information_beside_noise(
     **Arguments:** `at`: where the refinement ended, in the innovations form; `criterion`; `variance`: of innovations
     whitened by S of unit determinant.
 
+    **Returns:** the information, and the standard errors of the noise parameters.
+
     **Reference:** Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory* (1993), §3.9.
     """
     S, moved, rows = (np.asarray(X) for X in _derivatives(at, criterion))
@@ -57,4 +59,5 @@ def information_beside_noise(
     information[np.ix_(places, places)] += variance * criterion.count / len(S) / 2 * traces
     kept, out = slice(0, -noise), slice(-noise, None)
     across = information[kept, out]
-    return information[kept, kept] - across @ pseudo_inverse(information[out, out]) @ across.T
+    errors = np.sqrt(variance * np.diag(pseudo_inverse(information))[out])
+    return information[kept, kept] - across @ pseudo_inverse(information[out, out]) @ across.T, errors

@@ -75,7 +75,8 @@ class Refinement(eqx.Module):
     `whitening` of the output noise; `normal`: Gauss-Newton information in blocks and nuisance; `variance`: mean
     square of the whitened residual; `steps`: of the optimiser and of the conic iteration; `decrement`: what
     one more step would take off the sum of squares, in units of the noise variance; `cost`: minus twice the logarithm
-    of the likelihood, but for a constant; `result`; `prior` that `normal` holds; `price` of the structure.
+    of the likelihood, but for a constant; `result`; `prior` that `normal` holds; `price` of the structure;
+    `noise_errors`: standard errors of the noise parameters in `nuisance`.
     """
 
     mass: Float[Array, "dofs dofs"]
@@ -92,6 +93,7 @@ class Refinement(eqx.Module):
     result: RESULTS
     prior: Prior | None = None
     price: StructurePrice | None = None
+    noise_errors: Float[Array, " ratios"] | None = None
 
 
 @stored
@@ -290,9 +292,9 @@ def start_kept(
 def _refinement(end: ConicEnd, criterion: Criterion, taken: int, result: RESULTS) -> Refinement:
     M, D, K = criterion.matrices(end.at.blocks)
     count = criterion.count - end.normal.information.shape[0]
-    normal, variance = end.normal, end.normal.cost / max(count, 1.0)
+    normal, variance, noise_errors = end.normal, end.normal.cost / max(count, 1.0), None
     if end.at.nuisance.noise is not None:
-        information = information_beside_noise(end.at, criterion, float(variance))
+        information, noise_errors = information_beside_noise(end.at, criterion, float(variance))
         if criterion.prior is not None:
             information[np.diag_indices(len(criterion.prior.precision))] += criterion.prior.precision
         normal = Normal(normal.cost, normal.gradient, information)
@@ -310,6 +312,7 @@ def _refinement(end: ConicEnd, criterion: Criterion, taken: int, result: RESULTS
         likelihood_cost(end.products, criterion),
         result,
         criterion.prior,
+        noise_errors=noise_errors,
     )
 
 
