@@ -171,7 +171,7 @@ def main():
             here = [row for row in rows if row[key] == value]
             pooled[f"{key} {value}"] = line(f"{key} {value}", here, arguments.sure)
     answered = [row for row in rows if "refused" not in row]
-    kinds = collections.Counter(" ".join(text.split()[:6]) for row in answered for text in row["warnings"])
+    kinds = collections.Counter(" ".join(text.split()[:3]) for row in answered for text in row["warnings"])
     for text, count in kinds.most_common():
         print(f"{count:5d} × {text} …")
     for why, count in collections.Counter(row["refused"] for row in rows if "refused" in row).most_common():
