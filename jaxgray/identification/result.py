@@ -347,8 +347,8 @@ def _warnings(
         )
     if not tests.white and refinement.nuisance.noise is None:
         result.append(
-            "The residual is not white: error bars allow for its colour; if noise enters at the forces, "
-            "noise='innovations' is more exact."
+            "The residual is not white: error bars allow for its colour, not for a controller that feeds it back; if "
+            "noise enters at the forces, noise='innovations' is more exact."
         )
     if chance < FORCE_NOISE:
         result.append(
