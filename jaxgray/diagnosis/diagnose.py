@@ -543,5 +543,5 @@ def _own_warnings(identification: Identification, state: SearchState) -> tuple[s
     """Warnings of the linear fit; what a finding has mended is no longer one."""
     if not state.accepted:
         return identification.warnings
-    mended = ("M, D, K of", "The residual is not white", "Poor fit", "The residual is correlated")
+    mended = ("M, D, K of", "The residual is", "Poor fit")
     return tuple(text for text in identification.warnings if not text.startswith(mended))

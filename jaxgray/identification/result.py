@@ -15,6 +15,7 @@ from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS
 from ..numerics.text import entry_text
 from ..records import Record
+from ..records.checks.defects import grid_step
 from ..records.stamped import ClockError
 from .hidden.evidence import HiddenEvidence
 from .initialization.start import Start, model_run
@@ -26,11 +27,23 @@ from .setup.prediction import Batch, Setting
 from .setup.preparation import Signals, prepare
 from .setup.structure import Structure
 from .setup.units import Scaling
+from .validation.colour import score_covariance
+from .validation.force_noise import force_noise_chance, response_to_inputs
 from .validation.residuals import Fit, ResidualTest, fit_of, information_criteria, noise_floor, residual_test
 from .validation.structure_test import StructureTest, structure_test
 
 CONTRADICTED = 10.0
 """ΔBIC of a structure over free M, D, K from which the record contradicts it."""
+
+FORCE_NOISE = 0.01
+"""Probability at which noise is said to enter at the forces."""
+
+FORCE_SAMPLES = 5.0
+"""Independent samples of noise at a force up to which its size is hardly known: to a third at best."""
+
+ROUNDED = 0.5
+"""Standard deviation of rounding, relative to the residual, from which it does not pass for noise: other noise is then
+less than half a step (Widrow & Kollár, *Quantization Noise*, 2008)."""
 
 POOR_FIT = 80.0
 """Fit [%] below which the result says that the model simulates poorly."""
@@ -213,15 +226,23 @@ def assess(
         plain = Iterate(refinement.blocks, without_noise(refinement.nuisance), np.eye(model.outputs))
         _, J = sensitivities(plain, Criterion(batch, setting, structure))
         J = np.asarray(J)
-        meat = None
-        if refinement.nuisance.noise is None and not tests.white:
-            meat = _score_covariance(J, estimation, scaling, refinement, batch)
-        spread = uncertainty(refinement, scaling, structure, fixed=held, meat=meat)
-        scaled = jax.device_get((refinement.mass, refinement.damping, refinement.stiffness))
-        system = setting.drive.state_space(*scaled, setting.measured, 1.0)
         free = np.ones(J.shape[3], bool)
         if held is not None:
             free[: len(held)] &= ~np.asarray(held, bool)
+        scaled = jax.device_get((refinement.mass, refinement.damping, refinement.stiffness))
+        meat, chance = None, 1.0
+        if refinement.nuisance.noise is None:
+            W = np.asarray(refinement.whitening)
+            residuals = [fit.residual / np.asarray(scaling.outputs) @ W.T for fit in estimation]
+            weighed = [np.einsum("ab,nbp->nap", W, J[k, : len(e)]) for k, e in enumerate(residuals)]
+            if not tests.white:
+                meat = _score_covariance(weighed, residuals)
+            if not refinement.normal.cost <= 0:
+                fitted, known = [rows[:, :, free] for rows in weighed], [np.nan_to_num(e) for e in residuals]
+                response = response_to_inputs(setting.system(*scaled), W, max(len(e) for e in residuals))
+                chance = force_noise_chance(fitted, known, response)
+        spread = uncertainty(refinement, scaling, structure, fixed=held, meat=meat)
+        system = setting.drive.state_space(*scaled, setting.measured, 1.0)
         found = structure_test(
             records[0].y,
             estimation[0].residual,
@@ -244,7 +265,9 @@ def assess(
                 "form": "innovations",
                 "force_to_output_noise": np.abs(values[: batch.u.shape[2]]).tolist(),
             }
-        warnings += _warnings(refinement, spread, found, tests, model)
+            warnings += _hardly_noisy(refinement, batch.u.shape[2], records[0].input_names)
+        warnings += _warnings(refinement, spread, found, tests, model, chance)
+        warnings += _rounded(records[0], estimation[0], notes)
     warnings += _fit_warnings(estimation, model)
     residuals = np.concatenate([fit.residual for fit in estimation])
     complete = residuals[np.all(np.isfinite(residuals), axis=1)]
@@ -280,23 +303,15 @@ def _fit(matrices, setting: Setting, scaling: Scaling, record: Record, signals: 
     return fit_of(record.y, run * np.asarray(scaling.outputs) + level)
 
 
-def _score_covariance(J, estimation, scaling, refinement: Refinement, batch: Batch) -> np.ndarray:
-    """Covariance of the summed scores Jᵀ W e with correlation over lags (Newey & West, 1987)."""
-    W = np.asarray(refinement.whitening)
-    total = 0.0
-    for k, fit in enumerate(estimation):
-        n = len(fit.residual)
-        e = np.nan_to_num(fit.residual / np.asarray(scaling.outputs)) @ W.T
-        scores = np.einsum("no,nop->np", e, np.einsum("ab,nbp->nap", W, J[k, :n]))
-        lags = int(np.ceil(2 * n ** (1 / 3)))
-        total = total + scores.T @ scores
-        for lag in range(1, lags + 1):
-            across = scores[lag:].T @ scores[:-lag]
-            total = total + (1 - lag / (lags + 1)) * (across + across.T)
-    return total
+def _score_covariance(sensitivities, residuals) -> np.ndarray:
+    """Covariance of the scores under the colour of the residual, for as many degrees of freedom as the fit has left."""
+    count = sum(int(np.isfinite(e).sum()) for e in residuals)
+    return score_covariance(sensitivities, residuals) * count / max(count - sensitivities[0].shape[2], 1)
 
 
-def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: ResidualTest, model) -> list[str]:
+def _warnings(
+    refinement, spread: Uncertainty, found: StructureTest, tests: ResidualTest, model, chance: float
+) -> list[str]:
     result = []
     if refinement.result == RESULTS.not_improved:
         result.append(
@@ -332,11 +347,17 @@ def _warnings(refinement, spread: Uncertainty, found: StructureTest, tests: Resi
         )
     if not tests.white and refinement.nuisance.noise is None:
         result.append(
-            "The residual is not white: error bars allow for its colour; if noise enters at the forces, "
-            "noise='innovations' is more exact."
+            "The residual is not white: error bars allow for its colour, not for a controller that feeds it back; if "
+            "noise enters at the forces, noise='innovations' is more exact."
+        )
+    if chance < FORCE_NOISE:
+        result.append(
+            f"The residual is largest where the system answers forces (p = {chance:.1e}): if noise enters at the "
+            "forces, error bars are too small, the more so the lighter the damping. Use noise='innovations'."
         )
     if tests.feedback:
-        result.append("The residual is correlated with future inputs: the record may come from a closed loop.")
+        biased = "" if tests.white else " If so, noise of this colour biases M, D, K by more than their error bars."
+        result.append(f"The residual is correlated with future inputs: the record may come from a closed loop.{biased}")
     return result
 
 
@@ -354,6 +375,32 @@ def _dear(delta_bic: float) -> list[str]:
     if not delta_bic > CONTRADICTED:
         return []
     return [f"The record contradicts the structure asked for (ΔBIC {delta_bic:.3g}); free M, D, K fit better."]
+
+
+def _hardly_noisy(refinement: Refinement, inputs: int, names: tuple[str, ...]) -> list[str]:
+    ratios, errors = (np.asarray(X)[:inputs] for X in (refinement.nuisance.noise, refinement.noise_errors))
+    # The variance of a variance from n samples is 2/n of its square; a ratio is a square root of one.
+    worth = ratios**2 / np.maximum(2 * errors**2, 1e-300)
+    open_ones = [name for name, n in zip(names, worth) if not n > FORCE_SAMPLES]
+    if not open_ones:
+        return []
+    return [
+        f"Noise at the forces is hardly determined by this record ({', '.join(open_ones)}): if it is larger than "
+        "found, error bars are too small, the more so the lighter the damping."
+    ]
+
+
+def _rounded(record: Record, fit: Fit, notes: tuple[str, ...]) -> list[str]:
+    result = []
+    for name, y, rmse in zip(record.output_names, record.y.T, fit.rmse):
+        step = grid_step(y)
+        if step is None or not step / np.sqrt(12) > ROUNDED * rmse or any(f"Output {name} lies" in x for x in notes):
+            continue
+        result.append(
+            f"Most of the noise at {name} is rounding to steps of {step:.3g}: it repeats where the motion does, but "
+            "error bars take it for independent from sample to sample. Use a finer resolution."
+        )
+    return result
 
 
 def _fit_warnings(estimation, model) -> list[str]:

@@ -31,6 +31,7 @@ from .cholesky import (
 )
 from .conic import ConicEnd, conic_steps
 from .continuation import lengthened
+from .innovations import information_beside_noise
 from .normal_equations import FLOOR, Criterion, Iterate, Normal, Prior, Products
 
 LIFTS = (1e-3, 1e-1)
@@ -74,7 +75,8 @@ class Refinement(eqx.Module):
     `whitening` of the output noise; `normal`: Gauss-Newton information in blocks and nuisance; `variance`: mean
     square of the whitened residual; `steps`: of the optimiser and of the conic iteration; `decrement`: what
     one more step would take off the sum of squares, in units of the noise variance; `cost`: minus twice the logarithm
-    of the likelihood, but for a constant; `result`; `prior` that `normal` holds; `price` of the structure.
+    of the likelihood, but for a constant; `result`; `prior` that `normal` holds; `price` of the structure;
+    `noise_errors`: standard errors of the noise parameters in `nuisance`.
     """
 
     mass: Float[Array, "dofs dofs"]
@@ -91,6 +93,7 @@ class Refinement(eqx.Module):
     result: RESULTS
     prior: Prior | None = None
     price: StructurePrice | None = None
+    noise_errors: Float[Array, " ratios"] | None = None
 
 
 @stored
@@ -99,8 +102,9 @@ def levenberg_marquardt(
 ) -> tuple[list[Array], Nuisance, Array]:
     """One optimistix Levenberg-Marquardt run with given weights, the noise parameters among what it moves.
 
-    Parameters are taken in units of their first Jacobian column, so that the damping treats all alike; the
-    step solves the normal equations, which for a tall Jacobian costs a third of its QR.
+    Parameters are taken in units of their first Jacobian column, so that the damping treats all alike, and errors in
+    units of their first root mean square, so that the tolerances are those of any record; the step solves the normal
+    equations, which for a tall Jacobian costs a third of its QR.
 
     **Arguments:** `begin`, its blocks positive definite; `criterion`; `max_steps`.
 
@@ -115,11 +119,13 @@ def levenberg_marquardt(
         blocks = unpack(vectors, scales, logarithmic, criterion.sizes)
         return criterion.errors(Iterate(blocks, nuisance, begin.whitening))[0].ravel()
 
-    size = jnp.linalg.norm(jax.jacfwd(errors)(start), axis=0)
+    J, first = jax.jacfwd(lambda theta: (errors(theta),) * 2, has_aux=True)(start)
+    level = jnp.maximum(jnp.sqrt(jnp.sum(first**2) / jnp.sum(criterion.batch.kept)), FLOOR)
+    size = jnp.linalg.norm(J, axis=0) / level
     size = jnp.where(size > 1e-12 * jnp.max(size), size, jnp.max(size)) / _BOLDNESS
 
     def scaled_errors(delta, _):
-        return errors(start + delta / size)
+        return errors(start + delta / size) / level
 
     solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-2 / _BOLDNESS, linear_solver=lx.Normal(lx.Cholesky()))
     solution = optx.least_squares(
@@ -295,6 +301,12 @@ def start_kept(
 def _refinement(end: ConicEnd, criterion: Criterion, taken: int, result: RESULTS) -> Refinement:
     M, D, K = criterion.matrices(end.at.blocks)
     count = criterion.count - end.normal.information.shape[0]
+    normal, variance, noise_errors = end.normal, end.normal.cost / max(count, 1.0), None
+    if end.at.nuisance.noise is not None:
+        information, noise_errors = information_beside_noise(end.at, criterion, float(variance))
+        if criterion.prior is not None:
+            information[np.diag_indices(len(criterion.prior.precision))] += criterion.prior.precision
+        normal = Normal(normal.cost, normal.gradient, information)
     return Refinement(
         M,
         D,
@@ -302,13 +314,14 @@ def _refinement(end: ConicEnd, criterion: Criterion, taken: int, result: RESULTS
         end.at.blocks,
         end.at.nuisance,
         end.at.whitening,
-        end.normal,
-        end.normal.cost / max(count, 1.0),
+        normal,
+        variance,
         (taken, end.steps),
         end.decrement,
         likelihood_cost(end.products, criterion),
         result,
         criterion.prior,
+        noise_errors=noise_errors,
     )
 
 
