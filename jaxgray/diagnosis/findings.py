@@ -29,7 +29,8 @@ class Gain:
     `per_output`: name → (rmse before, rmse after); `percent` = 100 (RMSE before − after)/RMSE of the baseline, RMSE
     over all outputs in units of their noise floors; `ci95`: of the gain on other records of the kind, by the jackknife
     over long pieces and its difference to that on the data of the fit; `ci99_lower`: of the gain on this one, by block
-    bootstrap; `held_out`: whether the fit had not seen the data.
+    bootstrap; `held_out`: whether the fit had not seen the data; `together`: how many findings gain it only together,
+    each an equal part.
     """
 
     per_output: dict[str, tuple[float, float]]
@@ -37,6 +38,20 @@ class Gain:
     ci95: tuple[float, float]
     ci99_lower: float
     held_out: bool
+    together: int = 1
+
+    def parts(self, count: int) -> list["Gain"]:
+        """Equal parts of it, for so many findings."""
+
+        def part(k: int) -> dict[str, tuple[float, float]]:
+            return {
+                name: (before + k / count * (after - before), before + (k + 1) / count * (after - before))
+                for name, (before, after) in self.per_output.items()
+            }
+
+        interval = self.ci95[0] / count, self.ci95[1] / count
+        values = self.percent / count, interval, self.ci99_lower / count, self.held_out, count
+        return [Gain(part(k), *values) for k in range(count)]
 
 
 @dataclass(frozen=True)

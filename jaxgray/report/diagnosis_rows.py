@@ -65,7 +65,9 @@ def gain_words(gain: dict | None) -> str:
         return "–"
     low, high = gain["ci95"]
     interval = "" if low is None or high is None else f" ({low:.1f} to {high:.1f})"
-    return f"{gain['percent']:.1f} %{interval}" + ("" if gain["held_out"] else ", in-sample")
+    count = gain.get("together", 1)
+    shared = f", one of {count} that gain together" if count > 1 else ""
+    return f"{gain['percent']:.1f} %{interval}" + ("" if gain["held_out"] else ", in-sample") + shared
 
 
 def estimated(parameters: dict) -> dict:

@@ -164,6 +164,7 @@ def _gain(gain: Gain | None) -> dict | None:
         "ci95": gain.ci95,
         "ci99_lower": gain.ci99_lower,
         "held_out": gain.held_out,
+        "together": gain.together,
     }
 
 

@@ -1,10 +1,14 @@
 """The gain of a finding: its size, and how far it may be from that on other records."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from jaxgray.diagnosis.model.free_run import FreeRun
 from jaxgray.diagnosis.model.held_out_gain import gain_of
+from jaxgray.diagnosis.search.forward import recount
+from jaxgray.diagnosis.search.state import Accepted, SearchState
 
 FLOOR, NAMES, SAMPLES = np.array([0.1]), ("y1",), 4000
 
@@ -38,6 +42,32 @@ def test_interval_reaches_as_far_as_the_gain_differs_between_records():
     assert gain.ci95[0] == pytest.approx(50.0, abs=3.0)
     assert gain.ci95[1] > 85
     assert gain.percent == alone.percent
+
+
+def test_findings_that_gain_only_together_share_one_gain():
+    rng = np.random.default_rng(5)
+    base, worse, both, third = runs(rng, 0.4, 0.5, 0.1, 0.1)
+    sizes = {"a": worse, "b": both, "c": third}
+
+    def accepted(name):
+        fit = SimpleNamespace(residual=[sizes[name][0].e])
+        return Accepted(SimpleNamespace(fit=fit), (), SimpleNamespace(held_out=True), sizes[name])
+
+    start = SimpleNamespace(e=base[0].e)
+    state = SearchState(start, start, accepted=[accepted("a"), accepted("b")], baseline_runs=base, runs=both)
+    data = SimpleNamespace(kept=np.ones((SAMPLES, 1), bool))
+    context = SimpleNamespace(data=[data], names=((), NAMES), rng=rng)
+    recount(context, state, FLOOR)
+    gains = [one.gain for one in state.accepted]
+    assert [gain.together for gain in gains] == [2, 2]
+    assert all(gain.percent == pytest.approx(37.5, abs=1.0) and gain.ci95[0] > 30 for gain in gains)
+    assert gains[0].per_output["y1"][1] == gains[1].per_output["y1"][0]
+    assert (gains[0].per_output["y1"][0], gains[1].per_output["y1"][1]) == pytest.approx((0.4, 0.1), abs=0.01)
+
+    state.accepted = [accepted("b"), accepted("c")]
+    recount(context, state, FLOOR)
+    assert [one.gain.together for one in state.accepted] == [1, 1]
+    assert state.accepted[0].gain.percent == pytest.approx(75.0, abs=1.5)
 
 
 def test_later_candidates_on_the_same_data_must_be_surer():

@@ -9,7 +9,7 @@ from ...mechanics.effects.base import AbstractEffect
 from ...numerics.progress import BudgetSpent
 from ...numerics.runtime import relieve
 from .. import settings
-from ..acceptance import at_its_bound, unsound
+from ..acceptance import at_its_bound, unproven, unsound
 from ..estimation.context import SearchContext, stage_of_candidate
 from ..estimation.multistart import Attempt, compared, unresolved
 from ..estimation.significance import at_bound
@@ -310,13 +310,20 @@ def _class_of(
 
 
 def recount(context: SearchContext, state: SearchState, floor: np.ndarray) -> None:
-    """Gains that add up: of every finding over what the findings before it leave, in units of one noise floor."""
-    before, left = state.baseline_runs, state.start.e
+    """Gains that add up: of every finding over what the findings before it leave, in units of one noise floor. One that
+    has no sure gain before a later one is there shares the gain of both with it."""
+    before, left, waiting = state.baseline_runs, state.start.e, []
+    last = max((k for k, accepted in enumerate(state.accepted) if accepted.gain.held_out), default=-1)
     for k, accepted in enumerate(state.accepted):
         now = accepted.attempt.fit.residual[0]
         if accepted.gain.held_out:
+            waiting.append(k)
             seen, runs = runs_seen(context, left, now, state.start.e), (before, accepted.runs, state.baseline_runs)
             gain = gain_of(*runs, floor, context.names[1], held_out=True, rng=context.rng, seen=seen)
-            state.accepted[k] = dataclasses.replace(accepted, gain=gain)
-            before = accepted.runs
-        left = now
+            if k < last and unproven(gain) is not None:
+                continue
+            for at, part in zip(waiting, gain.parts(len(waiting))):
+                state.accepted[at] = dataclasses.replace(state.accepted[at], gain=part)
+            before, waiting = accepted.runs, []
+        if not waiting:
+            left = now

@@ -259,7 +259,7 @@ def gain_text(gain: Gain) -> str:
     """64 % (61 to 67)."""
     low, high = gain.ci95
     interval = f" ({low:.0f} to {high:.0f})" if math.isfinite(low) and math.isfinite(high) else ""
-    return f"{gain.percent:.0f} %{interval}"
+    return f"{gain.percent:.0f} %{interval}" + (", shared" if gain.together > 1 else "")
 
 
 def _unexplained(diagnosis: DiagnosisFields, causes: bool) -> str:
