@@ -63,10 +63,20 @@ def held_out(summary, name):
     return summary.rmse["validation"][name]
 
 
-def test_positioning_system_has_the_published_friction():
+RIVALS = {
+    "emps": (*LAWS, by_id("stribeck_friction"), by_id("sensor_offset")),
+    "piezo": ["play_hysteresis", "bouc_wen_hysteresis", "cubic_stiffness", "actuator_creep", "input_quadratic"],
+}
+"""What is looked for on measured records, but for the slow tests, which look for all."""
+
+WHOLE = [pytest.param(False, id="rivals"), pytest.param(True, id="whole catalogue", marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("whole", WHOLE)
+def test_positioning_system_has_the_published_friction(whole):
     record = measured("emps", "force", "position")
     estimation, validation = record.between(0, 16), record.between(16, None)
-    diagnosis, search = by_force(estimation, validation)
+    diagnosis, search = by_force(estimation, validation, CATALOGUE if whole else RIVALS["emps"])
     found = effects(diagnosis)
     assert found[0] == "coulomb_friction"
     members = [member.effect for member in next(f for f in diagnosis.findings if f.effect == found[1]).members]
@@ -133,9 +143,10 @@ def test_pendulum_on_its_way_up_is_pulled_by_the_sine_of_its_angle():
     assert any(one.effect == "bouc_wen_hysteresis" and "without memory" in one.why for one in diagnosis.rejected)
 
 
-def test_piezo_stage_has_play():
+@pytest.mark.parametrize("whole", WHOLE)
+def test_piezo_stage_has_play(whole):
     record = measured("piezo", "drive", "displacement")
-    diagnosis = jaxgray.diagnose(record)
+    diagnosis = jaxgray.diagnose(record, only=None if whole else RIVALS["piezo"])
     assert effects(diagnosis)[0] == "play_hysteresis"
     before, after = (held_out(x, "displacement") for x in (diagnosis.baseline, diagnosis.extended))
     assert after < 0.5 * before

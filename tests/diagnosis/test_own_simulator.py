@@ -109,6 +109,7 @@ def test_the_linear_plant_shows_at_rest_and_in_a_part_of_a_run(moves, end):
     assert np.max(np.abs(plant.varying.table)) < 1e5, "what moves nothing has no stiffness"
 
 
+@pytest.mark.slow
 def test_a_simulator_far_from_its_record_is_led_there():
     # Without its damping it turns over and over; the machine does not.
     rng = np.random.default_rng(8)

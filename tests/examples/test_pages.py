@@ -32,7 +32,14 @@ NOT_RUN = {
 IN_WHOLE_CAMPAIGNS = {
     f"jaxgray demo --effect {id}": "a whole diagnosis for every page of an effect; `jaxgray demo` runs here"
     for id in DEMONSTRATED
-}
+} | dict.fromkeys(
+    (
+        "jaxgray diagnose quake.csv",
+        "jaxgray diagnose drive.csv --inputs torque --outputs motor --hidden load",
+        "jaxgray diagnose axis.csv --inputs force --outputs position --simulated",
+    ),
+    "a whole diagnosis of a kind of its own; tests/diagnosis has one of each",
+)
 """Commands that only `-m slow` runs, by how they begin."""
 
 

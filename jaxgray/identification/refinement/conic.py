@@ -63,7 +63,7 @@ def _directions(H: np.ndarray, threshold: float):
     scale = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(H / scale[:, None] / scale[None, :])
-    return scale, values, vectors, values > threshold * max(values[-1], 1e-300) * len(values)
+    return scale, values, vectors, values > threshold * max(np.max(values, initial=0.0), 1e-300) * len(values)
 
 
 def sizes_of(curvature: np.ndarray) -> np.ndarray:
