@@ -69,6 +69,7 @@ def test_a_static_record_without_error_has_nothing_to_find():
     assert diagnosis.verdict == "noise" and not diagnosis.findings, str(diagnosis)
 
 
+@pytest.mark.slow
 def test_a_static_record_with_a_loop_is_not_noise_where_no_effect_may_be_added():
     noise = 1e-3 * generator("loop").standard_normal((1500, 1))
     diagnosis = jaxgray.diagnose(quasi_static(lambda u: np.roll(u, 4, axis=0) + noise), max_effects=0)

@@ -26,7 +26,7 @@ def test_another_number_of_coordinates():
     check_found(case, diagnosed(case, only=["input_delay", *rivals]))
 
 
-@pytest.mark.parametrize("k", ["0", "1", "6"])
+@pytest.mark.parametrize("k", ["0", *(pytest.param(k, marks=pytest.mark.slow) for k in ("1", "6"))])
 def test_a_mode_that_rings_like_coloured_noise_is_found(k):
     rng = generator("a mode that rings", k)
     case = hidden.random_case(rng, "unmodelled_mode", dofs=(2,), samples=SAMPLES, excess=(1.5, 3.0))

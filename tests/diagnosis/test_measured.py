@@ -117,6 +117,7 @@ def test_pendulum_is_pulled_by_the_sine_of_its_angle_and_rubs_in_its_bearings():
     assert "windows" in repr(diagnosis) and diagnosis_document(diagnosis)["verdict"] == "named"
 
 
+@pytest.mark.slow
 def test_a_hand_among_the_data_of_the_fit_does_not_hide_gravity():
     # Half of the acceleration's power is the hand's: the mass that fits it is a thirtieth of what is right.
     record = measured("pendulum_energy", "torque", "angle")

@@ -105,6 +105,7 @@ def test_a_sample_between_missing_ones_is_judged_by_those_that_are_known():
     assert list(standing_out(e)) == [last]
 
 
+@pytest.mark.slow
 def test_a_hum_has_another_phase_in_every_record():
     rng = np.random.default_rng(9)
     system = System(np.array([[1.0]]), np.array([[2.0]]), np.array([[400.0]]))

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import hidden_draws as draws
 import numpy as np
+import pytest
 from hidden_laws import Effect
 from hidden_simulation import simulate
 
@@ -70,6 +71,7 @@ def test_a_law_begins_in_each_of_its_forms_at_its_own_place():
     assert in_other_forms([ranked[0], ranked[2]], ranked) == []
 
 
+@pytest.mark.slow
 def test_friction_that_takes_the_free_run_out_of_step_begins_with_the_force_equation():
     # Scores along the linear model's run lead to a wrong size and nothing that holds.
     rng = np.random.default_rng([201, 21])

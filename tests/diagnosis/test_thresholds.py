@@ -167,6 +167,7 @@ def test_elements_at_one_threshold_are_said_as_one():
     assert estimates_of(apart, errors, one)["r"].value == (1.4, 1.5, 3.0)
 
 
+@pytest.mark.slow
 def test_a_needless_threshold_goes_once_all_is_found():
     # Found while an offset was missing, a third element at a threshold of nothing had passed for a gain.
     rng = generator("play beside an offset")
