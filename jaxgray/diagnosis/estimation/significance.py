@@ -37,7 +37,7 @@ def significance(fit: Refit, layout: Layout, term: int, *, given_shape: bool = F
     """How far the amplitudes of one term are from nothing, in standard errors: the largest |β|/se, or all of them
     together where laws with several share what they explain (Wald's statistic as a normal one, Wilson & Hilferty).
 
-    An amplitude that nothing determines, whatever M, D, K are, is none. `given_shape`: with the rest of its parameters
+    One amplitude that nothing determines, whatever M, D, K are, is none. `given_shape`: with the rest of its parameters
     as they are. Nothing has no shape (Davies, Biometrika 74 (1987) 33-43): whether there is something at all, errors
     that an amplitude has for its shape alone do not tell.
     """
@@ -50,8 +50,9 @@ def significance(fit: Refit, layout: Layout, term: int, *, given_shape: bool = F
             shape.append(layout.first + position)
     if not any(p.amplitude and p.counts for p in fit.candidate.terms[term].effect.parameters):
         return np.inf
-    known = (np.diag(fit.covariance)[at] > 0) & ~fit.undetermined_alone[at]
-    if not known.any():
+    known = np.diag(fit.covariance)[at] > 0
+    # Of several amplitudes, as elements of a sum, a direction may be open and their sum known all the same.
+    if not known.any() or (len(at) == 1 and fit.undetermined_alone[at[0]]):
         return 0.0
     at, values = np.array(at)[known], np.array(values)[known]
     covariance = fit.covariance[np.ix_(at, at)]
