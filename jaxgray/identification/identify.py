@@ -1,9 +1,11 @@
 """From records to a physical model: the pipeline, nothing else."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
 import numpy as np
+import scipy.linalg
 
 from ..mechanics.drives import Force
 from ..mechanics.model import MechanicalModel
@@ -36,6 +38,13 @@ MOST_STARTS = 3
 
 SLIGHT = 1e-4
 """Ratio of the least to the largest eigenvalue of the scaled mass from which it counts as a mass."""
+
+FASTEST, SHOWN = 2 * np.pi, 0.8 * np.pi
+"""Rate of a mode [1/sample], twice that of the fastest motion that samples show, from which inertia hardly shows; and
+one at which it does."""
+
+FAST_PRICE = 10.0
+"""Fall of −2 ln L from which a faster mode is believed all the same."""
 
 NEAR = 0.05
 """Share of every output's power left by a refinement below which no other start is tried."""
@@ -321,14 +330,24 @@ def _start_options(
     return StartOptions(taus, rows, weight, map, input_matrix_from, known_mass, thorough, mass)
 
 
+def heavier(M, D, K) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Scaled M, D, K with so much more mass that no mode is faster than what samples show; None where none is."""
+    rates, shapes = scipy.linalg.eigh(K, M + 1e-12 * np.trace(M) * np.eye(len(M)))
+    fast = rates > FASTEST**2
+    if not np.any(fast):
+        return None
+    moved = M @ shapes[:, fast] * np.sqrt(rates[fast] / SHOWN**2 - 1.0)
+    return M + moved @ moved.T, D, K
+
+
 def _best_refined(
     starts: list[Start], others, refined, setting: Setting, signals: list[Signals], progress: AbstractProgress
 ):
     """The start whose refinement simulates best, and that refinement.
 
     A start that serves is refined alone, and the others too where that does not settle or ends at a mass that is next
-    to singular. From poor ones a refinement may end in another minimum, so that the best few are refined, until one end
-    is near the record.
+    to singular; where inertia hardly shows, it is tried with more mass as well. From poor starts a refinement may end
+    in another minimum, so that the best few are refined, until one end is near the record.
     """
     best = failure = None
     left_over = list(starts)
@@ -342,17 +361,22 @@ def _best_refined(
         except ComputationError as error:
             failure = failure or error
             continue
-        masses = np.linalg.eigvalsh(end.mass)
+        masses, slower = np.linalg.eigvalsh(end.mass), heavier(end.mass, end.damping, end.stiffness)
         settled = end.result == RESULTS.successful and masses[0] > SLIGHT * masses[-1]
+        if slower is not None and k == 0:
+            left_over.insert(0, replace(start, matrices=slower))
         if k == 0 and len(starts) == 1:
-            if settled:
+            if settled and slower is None:
                 return start, end
-            left_over = others()
+            left_over += others()
         left = total_deviation((end.mass, end.damping, end.stiffness), setting, signals)
         reached = float(score(left))
+        if slower is not None:
+            # A mode that samples do not show may be the alias of one that they do.
+            reached -= FAST_PRICE / (2 * sum(s.samples for s in signals))
         if best is None or reached > best[0]:
             best = reached, start, end
-        if settled and np.all(left < NEAR):
+        if settled and slower is None and np.all(left < NEAR):
             break
     if best is None:
         raise failure

@@ -421,3 +421,15 @@ def test_a_slow_motion_sampled_fast_is_reached_by_its_inputs():
     y[:, 1] = rng.standard_normal(4000)
     with pytest.raises(ComputationError, match="does not reach coordinate y2"):
         check(y)
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_a_mode_next_to_half_the_sampling_rate_keeps_its_mass(seed):
+    """Neither a mass of nothing nor the alias of the mode is a better end of the refinement."""
+    rng, h = np.random.default_rng([79, seed]), 0.2687
+    u = data.smooth_noise(rng, 400, 1, 0.5)
+    y = data.simulate([[0.8]], [[1.5]], [[90.0]], u, h, hold="linear")
+    record = Record(u, y + 0.5 * y.std() * rng.standard_normal(y.shape), h, hold="linear")
+    found = identify(record)
+    assert abs(found.mass[0, 0] - 0.8) < 4 * found.standard_errors["mass"][0, 0] < 0.6
+    assert abs(found.stiffness[0, 0] - 90.0) < 4 * found.standard_errors["stiffness"][0, 0]
