@@ -160,7 +160,8 @@ class Identification(Shown):
         """The same model with its fit on these records, instead of on the pieces it was estimated from."""
         matrices = self.scaling.matrices_in(self.mass, self.damping, self.stiffness)
         fits = tuple(_fit(matrices, self.setting, self.scaling, r, prepare(r, self.scaling)) for r in records)
-        warnings = dict.fromkeys(self.warnings + tuple(_fit_warnings(fits, self.model)))
+        of_pieces = _fit_warnings(self.estimation, self.model)
+        warnings = [text for text in self.warnings if text not in of_pieces] + _fit_warnings(fits, self.model)
         return dataclasses.replace(self, records=tuple(records), estimation=fits, warnings=tuple(warnings))
 
     def _per_output(self, name: str) -> dict[str, dict[str, float]]:
