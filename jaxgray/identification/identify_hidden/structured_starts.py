@@ -107,7 +107,8 @@ def _matches(task: Task, family: Family, found, given) -> list[tuple[float, np.n
         with contextlib.suppress(ComputationError, np.linalg.LinAlgError):
             ends = matched(family, *_target(task, model, None), given, starts=FEW_STARTS)
             theta = np.where(np.isfinite(given), np.nan_to_num(given), ends.parameters[0])
-            matches.append((float(ends.errors[0]), theta, (model, tau, rows)))
+            if np.isfinite(ends.errors[0]):
+                matches.append((float(ends.errors[0]), theta, (model, tau, rows)))
     return sorted(matches, key=lambda match: match[0])
 
 

@@ -48,7 +48,8 @@ LARGEST = 46.0
 
 @dataclass(frozen=True)
 class Matched:
-    """Ends that fit equally well, the best first: `parameters`, one row an end; `errors`: their mean squares."""
+    """Ends that fit equally well, the best first: `parameters`, one row an end; `errors`: their mean squares, infinite
+    where no start led anywhere."""
 
     parameters: Float[np.ndarray, "ends parameters"]
     errors: Float[np.ndarray, " ends"]
@@ -89,6 +90,7 @@ def matched(
             break
         before = cost[0]
     good = np.isfinite(cost) & (cost <= cost[0] * (1 + EQUAL) + EXACT)
+    good[0] = True
     return Matched(_parameters(x[good], fixed, free), cost[good])
 
 
