@@ -35,7 +35,7 @@ def _derivatives(at: Iterate, criterion: Criterion) -> tuple[Array, Array, Array
 
 def information_beside_noise(
     at: Iterate, criterion: Criterion, variance: float
-) -> Float[np.ndarray, "entries entries"]:
+) -> tuple[Float[np.ndarray, "parameters parameters"], Float[np.ndarray, " ratios"]]:
     """Information about blocks, first states and offsets, times the noise `variance`, the noise parameters eliminated.
 
     With innovations ε of covariance S it is Σ ψᵀS⁻¹ψ + N/2 tr(S⁻¹S_i S⁻¹S_j), ψ_i = ∂ε/∂θ_i, S_i = ∂S/∂θ_i.
