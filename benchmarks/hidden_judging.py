@@ -102,6 +102,13 @@ def held_out_excess(case, diagnosis):
     return float(np.sqrt(np.mean((rmse / case.noise) ** 2)))
 
 
+def only_noise_left(case, diagnosis):
+    """Whether the final model errs on held-out data by no more than the noise there, as far as chance goes (three
+    standard deviations): what it lacks then, these data do not show."""
+    excess, values = held_out_excess(case, diagnosis) ** 2, np.count_nonzero(np.isfinite(case.y_v))
+    return bool(excess - 1 < 3 * np.sqrt(2 / values))
+
+
 def distance_of_rivals(case, diagnosis, truth):
     """By how much, in BIC, the worst of the false members of a class lies behind the truth refitted; None where there
     is no class with one hidden effect in it.
@@ -161,6 +168,7 @@ def judged(rng, case, diagnosis, *, fresh=10):
         "class_sizes": [len(f.members) for f in found],
         "rivals_behind": distance_of_rivals(case, diagnosis, truth),
         "held_out_excess": held_out_excess(case, diagnosis),
+        "only_noise_left": only_noise_left(case, diagnosis),
         "warnings": list(diagnosis.warnings),
     }
     row["deviations"] = {}

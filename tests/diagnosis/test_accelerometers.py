@@ -56,7 +56,7 @@ def test_accelerations_are_integrated_to_the_motion_in_the_band():
         assert np.all(wrong < 0.02), wrong
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_impacts_that_pass_for_noise_of_a_sensor_do_not_take_the_motion_out_of_the_band(seed, monkeypatch):
     ready()
     frame, h = frames.Frame((120.0, 90.0, 140.0), (1.9e5, 1.7e5, 2.1e5), (15.0, 12.0, 14.0)), 0.01
@@ -96,7 +96,9 @@ def test_masses_are_those_that_make_the_stiffness_symmetric(law):
         np.testing.assert_allclose(np.diag(mass), np.array(FRAME.masses) / FRAME.masses[0], rtol=0.15)
 
 
-@pytest.mark.parametrize("law, storey", [("end_stop", 0), ("end_stop", 1), ("bilinear_stiffness", 2)])
+@pytest.mark.parametrize(
+    "law, storey", [("end_stop", 1), ("bilinear_stiffness", 2), pytest.param("end_stop", 0, marks=pytest.mark.slow)]
+)
 def test_a_strong_law_is_the_first_that_the_force_equation_proposes(law, storey):
     ready()
     record, _, (truth,) = shaken(law, storey, 30 + storey)
@@ -214,7 +216,10 @@ def test_of_laws_that_differ_in_their_name_alone_one_is_refitted_at_every_place(
     assert found.name == names[3] and asked == [names[0], names[3]]
 
 
-@pytest.mark.parametrize("fix", ["mass[1,1]=1.5", "mass[0,1]=0", "stiffness[0,0]=6000"])
+@pytest.mark.parametrize(
+    "fix",
+    ["mass[1,1]=1.5", *(pytest.param(fix, marks=pytest.mark.slow) for fix in ("mass[0,1]=0", "stiffness[0,0]=6000"))],
+)
 def test_what_is_begun_has_the_masses_of_the_frame_and_what_does_not_move(fix):
     ready()
     record, _, (truth,) = shaken("end_stop", 1, 66, samples=4000)

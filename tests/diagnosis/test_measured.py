@@ -72,6 +72,7 @@ RIVALS = {
 WHOLE = [pytest.param(False, id="rivals"), pytest.param(True, id="whole catalogue", marks=pytest.mark.slow)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", WHOLE)
 def test_positioning_system_has_the_published_friction(whole):
     record = measured("emps", "force", "position")

@@ -134,6 +134,7 @@ def test_laws_take_the_places_of_the_record_and_leave_the_clock_of_another_behin
         laws_of(made(case, term("coulomb_friction", "y5", 4, 1.0, 0.1)), record)
 
 
+@pytest.mark.slow
 def test_a_wrong_number_of_a_law_is_found_and_mended(rubbing, tmp_path):
     case, law = rubbing
     true = float(law.values[0])

@@ -34,6 +34,7 @@ def within(shifts, errors=4.0):
     return all(abs(s.after - pendulum.TRUTH[s.name]) < errors * s.standard_error for s in shifts)
 
 
+@pytest.mark.slow
 def test_a_law_is_told_from_wrong_numbers():
     record, numbers = measured(pendulum.cubic, 0.2)
     laws = ["cubic_stiffness", "quadratic_drag"]

@@ -91,6 +91,7 @@ def test_play_is_believed_where_its_elements_do_for_one_another():
     check_thresholds(diagnosis, parameters["w"], parameters["r"])
 
 
+@pytest.mark.slow
 def test_a_threshold_too_many_does_not_pass_for_a_gain():
     # One below the smallest step is no play but a share of the command: nothing tells it from the scale of M, D, K.
     rng = np.random.default_rng([97001, 0, zlib.crc32(b"play_hysteresis"), 4])

@@ -37,6 +37,8 @@ IN_WHOLE_CAMPAIGNS = {
         "jaxgray diagnose quake.csv",
         "jaxgray diagnose drive.csv --inputs torque --outputs motor --hidden load",
         "jaxgray diagnose axis.csv --inputs force --outputs position --simulated",
+        "jaxgray diagnose demo/estimation.csv --inputs u1,u2 --outputs y1,y2 --validation demo/validation.csv --only",
+        "jaxgray fleet 'data/*.parquet' --inputs u1,u2 --outputs y1,y2 --out fleet --task diagnose",
     ),
     "a whole diagnosis of a kind of its own; tests/diagnosis has one of each",
 )
@@ -231,14 +233,31 @@ MAKES = {
 """What the programs of a page print and make, in their order."""
 
 
-@pytest.mark.parametrize("block", PROGRAMS, ids=str)
+def whole_diagnoses(block):
+    """Whether a program, or what an output is of, is for `-m slow` alone."""
+    if block.language in ("py", "python"):
+        return block.page == "verdicts.md"
+    before = above(block)
+    if before.language == "sh":
+        return begins(command_of(before.commands[-1]), IN_WHOLE_CAMPAIGNS) is not None
+    return any(whole_diagnoses(one) for one in PROGRAMS if one.page == block.page)
+
+
+def cases(blocks):
+    return [
+        pytest.param(block, id=str(block), marks=[pytest.mark.slow] if whole_diagnoses(block) else [])
+        for block in blocks
+    ]
+
+
+@pytest.mark.parametrize("block", cases(PROGRAMS))
 def test_a_program_runs_and_makes_what_it_says(run, block):
     said = run.program(block)
     of_page = [one for one in PROGRAMS if one.page == block.page]
     MAKES[block.page][of_page.index(block)](said, run.place(block)[1])
 
 
-@pytest.mark.parametrize("block", OUTPUTS, ids=str)
+@pytest.mark.parametrize("block", cases(OUTPUTS))
 def test_what_is_printed_is_what_is_shown(run, block):
     """Below a command its output; elsewhere that of a program of the page."""
     before = above(block)

@@ -1,5 +1,6 @@
 """Dry friction in a simulation: reversals, rest, and laws at several places."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,20 +31,21 @@ def pushes(samples=800):
 
 
 def run(*terms, substeps=4):
-    laws = tuple(dict.fromkeys(term.effect for term in terms))
-    u, x0 = jnp.asarray(pushes()), np.zeros(4)
+    u, x0, laws = jnp.asarray(pushes()), np.zeros(4), (COULOMB, STRIBECK)
     slots = slots_of(terms, plant(), laws)
     # By each term's Fc.
     along = np.zeros((len(terms), *slots.values.shape))
     along[np.arange(len(terms)), np.arange(len(terms)), 0] = 1.0
     zeros = [np.zeros((len(terms), *shape)) for shape in ((2, 2), (2, 2), (2, 2), (4,))]
     end = jnp.concatenate([u[1:], u[-1:]])
-    y, J = jax.jit(
-        lambda: run_and_tangents(
-            plant(), x0, u, end, slots, Directions(*zeros, along), TIME, laws=laws, substeps=substeps, seen=u
-        )
-    )()
+    # As an array, so that one program serves any number of steps.
+    y, J = differentiated(plant(), x0, u, end, slots, Directions(*zeros, along), laws, np.asarray(substeps))
     return np.asarray(y), np.asarray(J)
+
+
+@eqx.filter_jit
+def differentiated(plant, x0, u, end, slots, along, laws, substeps):
+    return run_and_tangents(plant, x0, u, end, slots, along, TIME, laws=laws, substeps=substeps, seen=u)
 
 
 def term(effect, *values, place=FIRST):

@@ -24,8 +24,10 @@ FORCES = {
 
 @pytest.mark.parametrize(
     "forces, substeps",
-    [("no memory", 3), ("memory", 2)]
-    + [pytest.param(*case, marks=pytest.mark.slow) for case in (("no memory", 1), ("at an input", 1))],
+    [("memory", 2)]
+    + [
+        pytest.param(*case, marks=pytest.mark.slow) for case in (("no memory", 3), ("no memory", 1), ("at an input", 1))
+    ],
 )
 def test_derivatives_along_every_direction_are_those_through_the_run(forces, substeps):
     rng = np.random.default_rng(5)

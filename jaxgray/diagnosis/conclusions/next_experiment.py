@@ -25,6 +25,7 @@ SHORTEST = 1000
 def next_experiment(
     context: SearchContext,
     members: list[Candidate],
+    ids: tuple[str, ...],
     record: Record,
     floor: Float[np.ndarray, " outputs"],
     *,
@@ -38,10 +39,12 @@ def next_experiment(
 
         d² = min_δ ‖(y_i − y_j − J_i δ)/σ‖².
 
-    **Arguments:** `context`; `members`: the class, refitted; `record`: whose amplitude and band are kept, and its
-    length, or that of a shorter held-out one; `floor`: noise σ per output; `progress`.
+    **Arguments:** `context`; `members`: the class, refitted; `ids` of the laws in which they differ; `record`: whose
+    amplitude and band are kept, and its length, or that of a shorter held-out one; `floor`: noise σ per output;
+    `progress`.
 
-    **Returns:** a `NextExperiment`, or None where the members cannot be simulated or no input separates them better.
+    **Returns:** a `NextExperiment`, or None where the members cannot be simulated, or no input separates them, or none
+    does so better than the record.
 
     **Reference:** Hunter & Reiner (1965), designs for discriminating between two rival models.
     """
@@ -69,9 +72,8 @@ def next_experiment(
             if d is not None and d > best[0]:
                 best = d, best[1], u
     d, name, u = best
-    ids = tuple(term.terms[-1].effect.id for term in members)
-    if d < settings.MIN_SEPARATION_RATIO * now:
-        # Nothing within the amplitude and band of the record tells them apart any better.
+    if d < max(settings.SEPARATION, settings.MIN_SEPARATION_RATIO * now):
+        # Nothing within the amplitude and band of the record tells them apart, or not any better.
         return None
     # Where the noise has a colour, or follows the motion, a record tells less than its samples promise.
     enough = "; 9 is enough where the noise is white" if now < settings.SEPARATION else ", where it was not enough"
