@@ -41,8 +41,8 @@ from jaxgray.identification.refinement.refine import refine  # noqa: E402
 from jaxgray.identification.setup.prediction import Batch, Nuisance, Setting  # noqa: E402
 from jaxgray.identification.setup.preparation import prepare, scaling_of  # noqa: E402
 from jaxgray.identification.setup.structure import Structure  # noqa: E402
-from jaxgray.mechanics.drives import Force  # noqa: E402
 from jaxgray.mechanics.modal_uncertainty import modal_uncertainty  # noqa: E402
+from jaxgray.mechanics.systems.drives import Force  # noqa: E402
 
 ASKED = {
     "forces": (False, {}),

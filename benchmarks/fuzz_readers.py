@@ -436,7 +436,7 @@ def as_record(*choices):
 def as_model(path, draw):
     """What `simulate`, `export` and `diagnose --model` do with a model file."""
     from jaxgray.cli.files import record_of
-    from jaxgray.report import export
+    from jaxgray.report.documents import export
 
     model = export.load(path)
     export.given(path)

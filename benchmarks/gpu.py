@@ -32,7 +32,7 @@ from jaxgray.identification.setup.preparation import prepare, scaling_of  # noqa
 from jaxgray.identification.setup.structure import Structure  # noqa: E402
 from jaxgray.identification.subspace.compression import factors  # noqa: E402
 from jaxgray.identification.subspace.filter_bank import pole  # noqa: E402
-from jaxgray.numerics.linear_algebra import triangle_vector  # noqa: E402
+from jaxgray.numerics.matrices.linear_algebra import triangle_vector  # noqa: E402
 
 H = data.REFERENCE_TIME
 TIME_CONSTANTS, BLOCK_ROWS = 64, 10

@@ -31,11 +31,11 @@ import diffrax  # noqa: E402
 import independent as data  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
-from jaxgray.mechanics.drives import Force  # noqa: E402
 from jaxgray.mechanics.effects import by_id  # noqa: E402
 from jaxgray.mechanics.effects.base import Place, Term  # noqa: E402
-from jaxgray.mechanics.extended import Plant, slots_of  # noqa: E402
-from jaxgray.mechanics.tangents import Directions, run_and_tangents  # noqa: E402
+from jaxgray.mechanics.runs.extended import Plant, slots_of  # noqa: E402
+from jaxgray.mechanics.runs.tangents import Directions, run_and_tangents  # noqa: E402
+from jaxgray.mechanics.systems.drives import Force  # noqa: E402
 
 H = data.REFERENCE_TIME
 M, D, K = data.REFERENCE.values()

@@ -36,7 +36,7 @@ from jaxgray.identification.subspace.filter_bank import pole  # noqa: E402
 from jaxgray.identification.subspace.grid import candidates, record_factors  # noqa: E402
 from jaxgray.identification.subspace.projection import MOESP  # noqa: E402
 from jaxgray.identification.subspace.realization import ExactMap  # noqa: E402
-from jaxgray.mechanics.drives import Force  # noqa: E402
+from jaxgray.mechanics.systems.drives import Force  # noqa: E402
 
 H = data.REFERENCE_TIME
 ROWS = tuple(range(4, 13))

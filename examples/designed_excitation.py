@@ -18,7 +18,7 @@ import optax
 import scipy.linalg
 
 import jaxgray
-from jaxgray.mechanics.statespace import sampled
+from jaxgray.mechanics.systems.statespace import sampled
 
 jax.config.update("jax_enable_x64", True)
 

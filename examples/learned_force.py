@@ -25,7 +25,7 @@ from jax.flatten_util import ravel_pytree
 import jaxgray
 from jaxgray.manual.gallery import keep
 from jaxgray.mechanics.effects.base import AbstractForceEffect, Parameter, Place, Term
-from jaxgray.mechanics.extended import Plant, extended_run
+from jaxgray.mechanics.runs.extended import Plant, extended_run
 
 jax.config.update("jax_enable_x64", True)
 

@@ -177,7 +177,7 @@ def main(argv=None):
         print(table)
 
     if arguments.out is not None:
-        from jaxgray.report import figures
+        from jaxgray.report.figures import identification as figures
 
         arguments.out.mkdir(parents=True, exist_ok=True)
         drawn = {

@@ -3,8 +3,8 @@
 import importlib
 from typing import TYPE_CHECKING
 
-from .numerics.backend import prepare as _prepare
 from .numerics.notebook import show_with
+from .numerics.programs.backend import prepare as _prepare
 
 if TYPE_CHECKING:
     from .diagnosis.diagnose import diagnose as diagnose
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from .identification import identify_many as identify_many
     from .identification import stabilisation as stabilisation
     from .identification import sweep as sweep
-    from .mechanics.drives import BaseAcceleration as BaseAcceleration
-    from .mechanics.drives import BaseDisplacement as BaseDisplacement
-    from .mechanics.drives import Force as Force
     from .mechanics.effects import CATALOGUE as CATALOGUE
     from .mechanics.energy import energy_balance as energy_balance
     from .mechanics.model import MechanicalModel as MechanicalModel
-    from .mechanics.statespace import StateSpace as StateSpace
+    from .mechanics.systems.drives import BaseAcceleration as BaseAcceleration
+    from .mechanics.systems.drives import BaseDisplacement as BaseDisplacement
+    from .mechanics.systems.drives import Force as Force
+    from .mechanics.systems.statespace import StateSpace as StateSpace
     from .numerics.outcomes import RESULTS as RESULTS
     from .numerics.outcomes import ComputationError as ComputationError
     from .records import Record as Record
     from .records import RecordWarning as RecordWarning
     from .records import preflight as preflight
     from .records import read_record as read_record
-    from .report.export import load as load
-    from .report.export import save as save
+    from .report.documents.export import load as load
+    from .report.documents.export import save as save
+    from .report.documents.simulated import write_simulation as write_simulation
     from .report.exports import export as export
     from .report.exports import to_control as to_control
     from .report.exports import to_scipy as to_scipy
-    from .report.page import write_report as write_report
-    from .report.simulated import write_simulation as write_simulation
+    from .report.page.whole import write_report as write_report
     from .schemas import schema as schema
     from .simulators import FmuSimulator as FmuSimulator
     from .simulators import MujocoSimulator as MujocoSimulator
@@ -68,17 +68,17 @@ _HOMES = {
         "stabilisation",
         "sweep",
     ),
-    "mechanics.drives": ("BaseAcceleration", "BaseDisplacement", "Force"),
+    "mechanics.systems.drives": ("BaseAcceleration", "BaseDisplacement", "Force"),
     "mechanics.effects": ("CATALOGUE",),
     "mechanics.energy": ("energy_balance",),
     "mechanics.model": ("MechanicalModel",),
-    "mechanics.statespace": ("StateSpace",),
+    "mechanics.systems.statespace": ("StateSpace",),
     "numerics.outcomes": ("RESULTS", "ComputationError"),
     "records": ("Record", "RecordWarning", "preflight", "read_record"),
-    "report.export": ("load", "save"),
-    "report.page": ("write_report",),
+    "report.documents.export": ("load", "save"),
+    "report.page.whole": ("write_report",),
     "report.exports": ("export", "to_control", "to_scipy"),
-    "report.simulated": ("write_simulation",),
+    "report.documents.simulated": ("write_simulation",),
     "schemas": ("schema",),
     "simulators": ("FmuSimulator", "MujocoSimulator"),
 }

@@ -20,7 +20,7 @@ import jax  # noqa: E402
 
 # Sets what the backend reads when it starts, for the processes that tests start too.
 import jaxgray  # noqa: E402, F401
-from jaxgray.numerics.backend import flags_are_known  # noqa: E402
+from jaxgray.numerics.programs.backend import flags_are_known  # noqa: E402
 
 # In one piece and without LLVM's optimisation, compiling takes half of its time; what users get runs faster.
 SOONER = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
@@ -38,8 +38,8 @@ from shaking import shake_if_asked  # noqa: E402
 
 from jaxgray.diagnosis.model import compile_ahead  # noqa: E402
 from jaxgray.identification.setup import padding  # noqa: E402
-from jaxgray.numerics.stored_programs import FOLDER  # noqa: E402
-from jaxgray.report import export  # noqa: E402
+from jaxgray.numerics.programs.stored_programs import FOLDER  # noqa: E402
+from jaxgray.report.documents import export  # noqa: E402
 
 shake_if_asked()
 # Records of 3000 and of 4000 samples share what is compiled.

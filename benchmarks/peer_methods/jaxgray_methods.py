@@ -19,7 +19,7 @@ from jaxgray.identification.setup.prediction import Batch, Setting  # noqa: E402
 from jaxgray.identification.setup.preparation import prepare, scaling_of  # noqa: E402
 from jaxgray.identification.subspace.projection import MOESP  # noqa: E402
 from jaxgray.identification.subspace.realization import ExactMap  # noqa: E402
-from jaxgray.numerics.runtime import ready  # noqa: E402
+from jaxgray.numerics.programs.runtime import ready  # noqa: E402
 
 warnings.simplefilter("ignore", jaxgray.RecordWarning)
 ready()

@@ -73,7 +73,7 @@ def identify(
 
         prepare(verbose=talk.verbose, quiet=talk.quiet)
         from ..identification import identify
-        from ..report import summary
+        from ..report.documents import identification as summary
 
         result = identify(
             record,
@@ -88,8 +88,8 @@ def identify(
         )
         progress.stage("reporting")
         document = summary.identification_document(result, tuple(notes))
-        pictures = drawn(output.figures, "figures", ("compare", "residuals", "bode"), result)
-        pictures |= drawn(output.figures, "modal_figures", ("mode_shapes",), result)
+        pictures = drawn(output.figures, "identification", ("compare", "residuals", "bode"), result)
+        pictures |= drawn(output.figures, "modal", ("mode_shapes",), result)
         pictures |= page(reporting.report, result, notes)
     finish(document, terminal.show_identification, talk, output.json, pictures, notes)
 
@@ -117,11 +117,11 @@ def sweep(file: File, channels: Channels, excitation: Excitation, spacing: Spaci
 
         prepare(verbose=talk.verbose, quiet=talk.quiet)
         from ..identification import sweep
-        from ..report import summary
+        from ..report.documents import identification as summary
 
         result = sweep(record, validation=validation, spacing=spacing.spacing, progress=progress, **options)
         document = summary.sweep_document(result, tuple(notes))
-        pictures = drawn(output.figures, "figures", ("sweep_map",), result)
+        pictures = drawn(output.figures, "identification", ("sweep_map",), result)
     finish(document, terminal.show_sweep, talk, output.json, pictures, notes)
 
 
@@ -142,8 +142,9 @@ def simulate(simulating: Simulating, file: File, talk: Talk) -> None:
         from ..identification.validation.residuals import fit_of
         from ..mechanics.at_stamps import at_own_times
         from ..mechanics.fitted_run import fitted_run
-        from ..report import export, summary
-        from ..report.columns import columns_text, simulation_columns
+        from ..report.documents import export
+        from ..report.documents import identification as summary
+        from ..report.documents.columns import columns_text, simulation_columns
 
         model = export.load(simulating.model)
         progress.stage("reading")
@@ -188,7 +189,7 @@ def export(exporting: Exporting, talk: Talk) -> None:
     files.check_places(exporting.out, read=(exporting.model,))
     prepare(verbose=talk.verbose, quiet=talk.quiet)
     from ..report import exports
-    from ..report.export import load
+    from ..report.documents.export import load
 
     model, record = load(exporting.model), files.record_of(exporting.model)
     exports.export(

@@ -66,8 +66,8 @@ def diagnose(
         if diagnosing.model is not None:
             model = files.own_model(diagnosing.model, record, excitation)
         from ..diagnosis.diagnose import diagnose
-        from ..report.diagnosis_summary import diagnosis_document
         from ..report.diagnosis_terminal import show_diagnosis
+        from ..report.documents.diagnosis import diagnosis_document
 
         if simulating.simulator is None:
             options |= {"structure": words(fitting.structure), "fix": fitting.fix, "noise": fitting.noise}
@@ -108,7 +108,7 @@ def diagnose(
         written |= page(reporting.report, result, notes)
         if diagnosing.experiment is not None and result.next_experiment is not None:
             proposed = result.next_experiment
-            from ..report.columns import columns_text, input_columns
+            from ..report.documents.columns import columns_text, input_columns
 
             table = input_columns(record, proposed.input, proposed.sampling_time)
             written[diagnosing.experiment] = columns_text(table).encode()
@@ -120,12 +120,12 @@ def _pictures(output: Output, result) -> dict:
     """The figures of a diagnosis and of its linear fit, by the files they go to."""
     if output.figures is None:
         return {}
-    from ..report.diagnosis_figures import figures_of
+    from ..report.figures.diagnosis import figures_of
 
-    made = drawn(output.figures, "diagnosis_figures", figures_of(result), result)
+    made = drawn(output.figures, "diagnosis", figures_of(result), result)
     if result.identification is not None:
-        made |= drawn(output.figures, "figures", ("compare", "residuals", "bode"), result.identification)
-        made |= drawn(output.figures, "modal_figures", ("mode_shapes",), result.identification)
+        made |= drawn(output.figures, "identification", ("compare", "residuals", "bode"), result.identification)
+        made |= drawn(output.figures, "modal", ("mode_shapes",), result.identification)
     return made
 
 
@@ -196,7 +196,7 @@ def effects(listing: Listing) -> None:
 
     files.check_places(listing.json)
     prepare()
-    from ..report.catalogue import catalogue_document, show_catalogue
+    from ..report.documents.catalogue import catalogue_document, show_catalogue
 
     document = catalogue_document()
     finish(document, show_catalogue, Talk(), listing.json, {}, [])
@@ -216,9 +216,9 @@ def demo(demonstrating: Demonstrating, talk: Talk) -> None:
         prepare(verbose=talk.verbose, quiet=talk.quiet)
         from .. import demonstration
         from ..numerics.whole_files import write_together
-        from ..report import export
-        from ..report.columns import columns_text, record_columns
-        from ..report.diagnosis_summary import diagnosis_document
+        from ..report.documents import export
+        from ..report.documents.columns import columns_text, record_columns
+        from ..report.documents.diagnosis import diagnosis_document
 
         made = demonstration.demonstrate(demonstrating.effect, demonstrating.seed, progress=progress)
         document = diagnosis_document(made.diagnosis)

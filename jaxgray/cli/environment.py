@@ -5,8 +5,8 @@ import os
 import sys
 from pathlib import Path
 
-from ..numerics.compilation_cache import keep_compiled
-from ..numerics.kept_files import NotPrivate, private_folder
+from ..numerics.programs.compilation_cache import keep_compiled
+from ..numerics.programs.kept_files import NotPrivate, private_folder
 
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
 """Of `mallopt` in glibc."""
@@ -26,7 +26,7 @@ def prepare(*, verbose: bool = False, quiet: bool = False) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from ..numerics.stored_programs import programs_folder
+    from ..numerics.programs.stored_programs import programs_folder
 
     try:
         keep_compiled(user_cache("xla"))

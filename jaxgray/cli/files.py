@@ -101,7 +101,7 @@ def own_model(path: Path, record: Record, excitation: Excitation):
 
     from ..identification.setup.options import drive_of
     from ..mechanics.linear import corrected
-    from ..report import export
+    from ..report.documents import export
 
     model, given = export.load(path), export.given(path)
     model = corrected(model)
@@ -216,7 +216,7 @@ def parameters(text: str | None) -> dict[str, float] | None:
 
 def record_of(path: Path) -> dict:
     """Sampling time and hold of the record that a model came from, where its file says so."""
-    from ..report.export import read_json
+    from ..report.documents.export import read_json
 
     records = read_json(path).get("records") if path.suffix.lower() == ".json" else None
     estimation = records.get("estimation") if isinstance(records, dict) else None

@@ -25,7 +25,8 @@ def subspace_options(excitation: Excitation) -> dict:
 def finish(document: dict, show, talk: Talk, target: str | None, files: dict[Path, bytes], notes: list[str]) -> None:
     """Write everything that was asked for, then say it; the reader's notes go to the error stream."""
     from ..numerics.whole_files import write_together
-    from ..report import export, terminal
+    from ..report import terminal
+    from ..report.documents import export
 
     wanted = {target: export.json_text(document).encode()} if target not in (None, "-") else {}
     write_together(files | wanted)
@@ -44,7 +45,7 @@ def page(path: Path | None, result, notes: list[str]) -> dict[Path, bytes]:
     """A result as a page, by the file it goes to; none without one; `notes`: from reading, put before its warnings."""
     if path is None:
         return {}
-    from ..report.page import html_of
+    from ..report.page.whole import html_of
 
     return {path: html_of(result, tuple(notes)).encode()}
 
@@ -52,12 +53,12 @@ def page(path: Path | None, result, notes: list[str]) -> dict[Path, bytes]:
 def drawn(folder: Path | None, module: str, names: tuple[str, ...], result) -> dict[Path, bytes]:
     """Figures as PNG, by the files they go to; none without a folder.
 
-    **Arguments:** `folder`: made if it is not there; `module` of the report that has them; `names` of the functions,
+    **Arguments:** `folder`: made if it is not there; `module` of `report.figures`; `names` of its functions,
     which are those of the files; `result`: what is drawn.
     """
     if folder is None:
         return {}
-    home = importlib.import_module(f"jaxgray.report.{module}")
+    home = importlib.import_module(f"jaxgray.report.figures.{module}")
     folder.mkdir(parents=True, exist_ok=True)
     files = {}
     for name in names:

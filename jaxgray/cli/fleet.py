@@ -65,7 +65,7 @@ def fleet(
 
 def _programs():
     """Folder of what is compiled, which workers share with the command; None where it has none."""
-    from ..numerics.kept_files import NotPrivate
+    from ..numerics.programs.kept_files import NotPrivate
     from .environment import user_cache
 
     try:

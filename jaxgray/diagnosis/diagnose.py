@@ -17,8 +17,8 @@ from ..mechanics.effects.base import AbstractEffect
 from ..mechanics.linear import corrected
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import ComputationError
+from ..numerics.programs.runtime import ready, relieve, undisturbed
 from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
-from ..numerics.runtime import ready, relieve, undisturbed
 from ..numerics.text import listed
 from ..records import Record, check_compatible, preflight, records_of
 from ..records.checks.finding import SEVERITIES

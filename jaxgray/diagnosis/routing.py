@@ -12,8 +12,8 @@ from ..identification import Identification, identify
 from ..identification.identify_hidden import wants_hidden
 from ..identification.setup.options import drive_by
 from ..identification.validation.structure_test import ROUNDING
-from ..mechanics.drives import AbstractDrive, BaseAcceleration, Force
 from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
+from ..mechanics.systems.drives import AbstractDrive, BaseAcceleration, Force
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, BudgetSpent
 from ..records import Record

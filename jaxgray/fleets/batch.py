@@ -7,10 +7,10 @@ from ..identification.batch.result import Identifications
 from ..identification.refinement.uncertainty import entry_names
 from ..mechanics.matrix_units import matrix_units
 from ..records import Record
-from ..report.export import model_document, plain
+from ..report.documents.export import model_document, plain
+from ..report.documents.identification import IDENTIFICATION, antiresonances, modes_of, per_name, record_document
 from ..report.identification_rows import MATRICES, fit_rows, matrix_rows, mode_rows
-from ..report.page_parts import Fact, Page, Section, Table, Tables, Words
-from ..report.summary import IDENTIFICATION, antiresonances, modes_of, per_name, record_document
+from ..report.page.parts import Fact, Page, Section, Table, Tables, Words
 
 
 def identified(records: list[Record], plan: dict, fitting: dict, batch: int) -> list[dict | None]:

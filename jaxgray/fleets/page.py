@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from ..diagnosis.words.titles import title_of
 from ..numerics.text import plus_minus
-from ..report.page_parts import Fact, Page, Plot, Section, Table, Words, axis
+from ..report.page.parts import Fact, Page, Plot, Section, Table, Words, axis
 from ..report.rows import Rows, number
 from .population import FALSE_DISCOVERIES, FAR_OUT, FEWEST, all_parameters, outliers, trends, values_of
 

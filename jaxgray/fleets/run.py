@@ -10,8 +10,8 @@ from pathlib import Path
 
 from ..numerics.progress import AbstractProgress, Silent
 from ..numerics.whole_files import write_whole
-from ..report.export import write_json
-from ..report.page import library_script, rendered
+from ..report.documents.export import write_json
+from ..report.page.whole import library_script, rendered
 from .drift.changes import FEWEST
 from .drift.machines import Drift, drifts_of, machines_of
 from .drift.score import WEAR

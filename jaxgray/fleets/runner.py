@@ -9,7 +9,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 
-from ..numerics.backend import cores
+from ..numerics.programs.backend import cores
 from ..numerics.progress import AbstractProgress
 from .worker import environment
 

@@ -63,7 +63,7 @@ class Store:
 
         **Raises:** `OSError` where the disk is full or read-only.
         """
-        from ..report.export import plain
+        from ..report.documents.export import plain
 
         text = json.dumps(plain({"schema": RESULT, "key": key, **document}), allow_nan=False, ensure_ascii=False)
         replace_files({self.results / f"{key}.json": text.encode()})

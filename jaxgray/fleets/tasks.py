@@ -64,7 +64,7 @@ class Job:
 
 
 def _version() -> str:
-    from ..report.page import own_version
+    from ..report.page.whole import own_version
 
     return own_version()
 

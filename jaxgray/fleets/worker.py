@@ -128,8 +128,8 @@ def _prepare(programs: str | None) -> None:
         os.environ.update(environment())
     import jax
 
-    from ..numerics.compilation_cache import keep_compiled
-    from ..numerics.kept_files import NotPrivate
+    from ..numerics.programs.compilation_cache import keep_compiled
+    from ..numerics.programs.kept_files import NotPrivate
 
     jax.config.update("jax_enable_x64", True)
     if programs is None:
@@ -236,7 +236,7 @@ def _together(job: Job, store: Store, waiting: list) -> list:
 
 def _alone(job: Job, store: Store, path, key, own, record, notes, means, begun) -> dict:
     """The result of one record by itself."""
-    from ..report.export import plain
+    from ..report.documents.export import plain
 
     try:
         with warnings.catch_warnings():
@@ -247,7 +247,7 @@ def _alone(job: Job, store: Store, path, key, own, record, notes, means, begun) 
         return _failure(path, job, error, begun, means)
     page = False
     if job.pages and made is not None:
-        from ..report.page import page_of, rendered
+        from ..report.page.whole import page_of, rendered
 
         store.write_page(key, rendered(page_of(made, tuple(notes)), library_at="library.js"))
         page = True
@@ -256,7 +256,7 @@ def _alone(job: Job, store: Store, path, key, own, record, notes, means, begun) 
 
 def _computed(options: Options, own: dict, record, notes: list[str]):
     """What a task makes of a record: the result that a page shows, and its document."""
-    from ..report.summary import identification_document, modes_of
+    from ..report.documents.identification import identification_document, modes_of
 
     fitting = {name: value for name, value in options.fitting.items() if value is not None}
     if options.task == "score":
@@ -265,7 +265,7 @@ def _computed(options: Options, own: dict, record, notes: list[str]):
         return None, score(record, own, **fitting)
     if options.task == "diagnose":
         from ..diagnosis.diagnose import diagnose
-        from ..report.diagnosis_summary import diagnosis_document
+        from ..report.documents.diagnosis import diagnosis_document
 
         result = diagnose(record, **fitting)
         covariance = None
@@ -284,7 +284,7 @@ def _computed(options: Options, own: dict, record, notes: list[str]):
 def _page_of_document(job: Job, store: Store, key: str, path: str, document: dict) -> bool:
     if not job.pages:
         return False
-    from ..report.page import rendered
+    from ..report.page.whole import rendered
     from .batch import page_of_document
 
     store.write_page(key, rendered(page_of_document(document, path), library_at="library.js"))

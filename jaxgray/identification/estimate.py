@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..mechanics.drives import ORDER, AbstractDrive, Force
-from ..mechanics.statespace import check_hold
-from ..numerics.lifting import respond_many
-from ..numerics.positive import ProjectedGradientSolver
-from ..numerics.runtime import ready
-from ..numerics.stored_programs import stored
+from ..mechanics.systems.drives import ORDER, AbstractDrive, Force
+from ..mechanics.systems.statespace import check_hold
+from ..numerics.matrices.positive import ProjectedGradientSolver
+from ..numerics.programs.runtime import ready
+from ..numerics.programs.stored_programs import stored
+from ..numerics.responses.lifting import respond_many
 from .hidden import canonical_structure, fitted_input, input_basis, realized_order, traced_canonical
 from .refinement.refine_traced import gauss_newton
 from .setup.options import pick

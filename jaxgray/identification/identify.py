@@ -7,11 +7,11 @@ import jax
 import numpy as np
 import scipy.linalg
 
-from ..mechanics.drives import Force
 from ..mechanics.model import MechanicalModel
+from ..mechanics.systems.drives import Force
 from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.programs.runtime import ready, relieve, undisturbed
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import ready, relieve, undisturbed
 from ..records import Record, check_compatible, on_one_grid, preflight, records_of
 from .identify_hidden import HiddenRequest, identify_auto, identify_hidden, wants_hidden
 from .initialization.base_start import MassKnowledge

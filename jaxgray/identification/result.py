@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from ..mechanics.matrix_units import matrix_units
 from ..mechanics.model import MechanicalModel
 from ..numerics.data_frames import data_frame
-from ..numerics.linear_algebra import triangle
+from ..numerics.matrices.linear_algebra import triangle
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS
 from ..numerics.text import entry_text

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from ..numerics.linear_algebra import least_squares
+from ..numerics.matrices.linear_algebra import least_squares
 from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.programs.runtime import ready
 from ..numerics.progress import Silent
-from ..numerics.runtime import ready
 from ..records import Record, record_of
 from .initialization.start import filled
 from .setup.options import pick

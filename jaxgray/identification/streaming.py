@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..mechanics.model import MechanicalModel
-from ..mechanics.statespace import check_hold
+from ..mechanics.systems.statespace import check_hold
 from ..numerics.outcomes import RESULTS, ComputationError
-from ..numerics.runtime import give_back, ready
+from ..numerics.programs.runtime import give_back, ready
 from ..numerics.whole_files import write_whole
 from ..records import Record
 from ..records.readers.chunks import CHUNK_SAMPLES, read_chunks

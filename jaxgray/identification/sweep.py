@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..numerics.data_frames import data_frame
-from ..numerics.linear_algebra import triangle
+from ..numerics.matrices.linear_algebra import triangle
 from ..numerics.notebook import Shown
 from ..numerics.outcomes import RESULTS, ComputationError
+from ..numerics.programs.runtime import ready, undisturbed
 from ..numerics.progress import AbstractProgress, Silent
-from ..numerics.runtime import ready, undisturbed
 from ..records import Record, check_compatible, records_of
 from .initialization.physical_grid import physical_grid
 from .initialization.start import filled, model_run

@@ -17,7 +17,7 @@ from ..mechanics.effects import (
     Local,
     Scales,
 )
-from ..mechanics.force_over_time import force_over_time
+from ..mechanics.runs.force_over_time import force_over_time
 
 PERIOD = 2 * np.pi
 """Of the motion [s]: its displacement, velocity and acceleration are then equally large."""

@@ -9,7 +9,7 @@ from ..demonstration_effects import DEMONSTRATED
 from ..diagnosis.model.own_laws import ParameterError
 from ..diagnosis.words.titles import name_of
 from ..mechanics.effects import CATALOGUE, MODEL_ERRORS, AbstractEffect
-from ..report.catalogue import UNITS, catalogue_document, unit_pattern
+from ..report.documents.catalogue import UNITS, catalogue_document, unit_pattern
 from .effect_pictures import picture
 from .look_alikes import TOLD_APART
 

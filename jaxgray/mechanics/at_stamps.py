@@ -16,15 +16,15 @@ import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, splrep
 
 from ..numerics.outcomes import RESULTS, ComputationError
-from ..numerics.varying_steps import response, step_matrices
+from ..numerics.responses.varying_steps import response, step_matrices
 from ..records import Record
 from ..records.stamped import inputs_on
 from ..records.stamped.stamps import START
-from .first_state import linear_state
 from .fitted_run import fitted_run
 from .model import MechanicalModel
-from .simulate import simulate
-from .statespace import hold_matrices
+from .runs.first_state import linear_state
+from .runs.simulate import simulate
+from .systems.statespace import hold_matrices
 
 LONGEST = 4.0
 """Steps of the grid in a step of the exact run, at most: longer ones are cut."""

@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 
-from .drives import Force
-from .units import as_factor, displacement_unit
+from .systems.drives import Force
+from .systems.units import as_factor, displacement_unit
 
 _TIMES = {"mass": " s^2", "damping": " s", "stiffness": ""}
 

@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..numerics.bounded import bounded
+from ..numerics.matrices.bounded import bounded
 from ..numerics.outcomes import RESULTS, ComputationError
-from ..numerics.stored_programs import ONCE, stored
+from ..numerics.programs.stored_programs import ONCE, stored
 from ..records import Record, record_of
-from .drives import BaseDisplacement, Force
 from .effects.base import AbstractForceEffect, Term
-from .extended import (
+from .model import MechanicalModel
+from .runs.extended import (
     changed_input,
     changed_plant,
     held_input,
@@ -30,9 +30,9 @@ from .extended import (
     slots_of,
     with_coordinates_at_rest,
 )
-from .model import MechanicalModel
-from .step_rows import Plant, local_rows
-from .units import composed_unit, displacement_unit
+from .systems.drives import BaseDisplacement, Force
+from .systems.step_rows import Plant, local_rows
+from .systems.units import composed_unit, displacement_unit
 
 TURNED = 0.1
 """Angle that the fastest mode turns in a step at most, and share of itself by which the fastest decay falls."""

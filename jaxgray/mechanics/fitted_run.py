@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..numerics.bounded import bounded
+from ..numerics.matrices.bounded import bounded
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..records import Record
 from .effects.base import AbstractForceEffect
 from .model import MechanicalModel
-from .simulate import free_run, initial_state, simulate
+from .runs.simulate import free_run, initial_state, simulate
 
 MOST_STEPS = 16
 """Steps per sample up to which added forces are followed."""

@@ -5,12 +5,12 @@ import dataclasses
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .abstract_model import effect_names
 from .effects import MODEL_ERRORS
 from .effects.base import AbstractMatrixEffect, Term
-from .extended import Plant, changed_plant
 from .model import MechanicalModel
-from .statespace import StateSpace, hold_matrices, sampled
+from .runs.extended import Plant, changed_plant
+from .systems.abstract_model import effect_names
+from .systems.statespace import StateSpace, hold_matrices, sampled
 
 
 def corrected(model: MechanicalModel) -> MechanicalModel:

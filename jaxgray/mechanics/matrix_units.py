@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from .drives import Force
 from .model import MechanicalModel
-from .units import as_factor, displacement_unit
+from .systems.drives import Force
+from .systems.units import as_factor, displacement_unit
 
 
 def _quotient(over: str, under: str) -> str:

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..numerics.linear_algebra import from_triangle, triangle_vector
-from ..numerics.runtime import ready
-from ..numerics.stored_programs import stored
-from .modal import (
+from ..numerics.matrices.linear_algebra import from_triangle, triangle_vector
+from ..numerics.programs.runtime import ready
+from ..numerics.programs.stored_programs import stored
+from .model import MechanicalModel
+from .systems.modal import (
     check_mass,
     check_omega,
     frequency_response,
@@ -19,8 +20,7 @@ from .modal import (
     response,
     undamped_modes,
 )
-from .model import MechanicalModel
-from .zeros import first_order, zeros_of_pairs
+from .systems.zeros import first_order, zeros_of_pairs
 
 
 @dataclass(frozen=True, eq=False)

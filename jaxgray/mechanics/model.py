@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics.runtime import ready
-from .abstract_model import AbstractMechanicalModel
-from .drives import ORDER, AbstractDrive, Force
+from ..numerics.programs.runtime import ready
+from .systems.abstract_model import AbstractMechanicalModel
+from .systems.drives import ORDER, AbstractDrive, Force
 
 
 def _matrix(value, name: str) -> Array:
@@ -144,14 +144,14 @@ class MechanicalModel(AbstractMechanicalModel):
         **Arguments:** `u`: a `Record`, of which the inputs, sampling time and hold are taken, or inputs
         (samples × inputs); `sampling_time` [s], only without a record; `hold`: default the record's, or
         "zero"; `x0`, `offset`, `scheduling` (default the record's), `substeps`: as for
-        `jaxgray.mechanics.simulate.simulate`.
+        `jaxgray.mechanics.runs.simulate.simulate`.
 
         **Returns:** the outputs (samples × outputs).
 
         **Raises:** `ValueError` where an argument does not fit; `ComputationError` where the outputs grow
         without bound.
         """
-        from .simulate import signals_of, simulate
+        from .runs.simulate import signals_of, simulate
 
         scheduling = getattr(u, "scheduling", None) if scheduling is None else scheduling
         u, _, sampling_time, hold = signals_of(u, None, sampling_time, hold)
@@ -175,13 +175,13 @@ class MechanicalModel(AbstractMechanicalModel):
 
         **Arguments:** `u`: a `Record`, or inputs; `y`, `sampling_time` [s]: only without a record; `hold`:
         default the record's, or "zero"; `x0`, `offset`, `force_noise_ratio`, `output_noise`: as for
-        `jaxgray.mechanics.simulate.predict`.
+        `jaxgray.mechanics.runs.simulate.predict`.
 
         **Returns:** the predicted outputs (samples × outputs).
 
         **Raises:** as `simulate`, and `ValueError` where the model has effects and noise at the inputs is asked for.
         """
-        from .simulate import predict, signals_of
+        from .runs.simulate import predict, signals_of
 
         noise = {"scheduling": getattr(u, "scheduling", None)}
         u, y, sampling_time, hold = signals_of(u, y, sampling_time, hold)
@@ -190,7 +190,7 @@ class MechanicalModel(AbstractMechanicalModel):
 
     def modes(self):
         """Natural frequencies, damping ratios, mode shapes and poles, as `Modes`."""
-        from .modal import modes
+        from .systems.modal import modes
 
         return modes(self)
 
@@ -203,7 +203,7 @@ class MechanicalModel(AbstractMechanicalModel):
 
         **Raises:** `ValueError` when only one is given, or where there are no zeros to speak of.
         """
-        from .zeros import transmission_zeros, zeros
+        from .systems.zeros import transmission_zeros, zeros
 
         if input is None and output is None:
             return transmission_zeros(self)
@@ -219,7 +219,7 @@ class MechanicalModel(AbstractMechanicalModel):
 
         **Raises:** `ValueError` for another kind or bad frequencies.
         """
-        from .modal import frequency_response
+        from .systems.modal import frequency_response
 
         return frequency_response(self, omega, kind=kind)
 

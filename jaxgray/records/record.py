@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxgray.numerics.band_limited import band_limited
+from jaxgray.numerics.responses.band_limited import band_limited
 from jaxgray.records.channels import (
     as_channels,
     as_seconds,

@@ -4,8 +4,9 @@ from ..diagnosis.result import Diagnosis
 from ..identification import Identification
 from ..identification.sweep import Sweep
 from .diagnosis_rows import error_rows, findings_rows, shift_rows
-from .diagnosis_summary import diagnosis_document
-from .export import plain
+from .documents.diagnosis import diagnosis_document
+from .documents.export import plain
+from .documents.identification import identification_document
 from .identification_rows import (
     MATRICES,
     element_rows,
@@ -16,9 +17,8 @@ from .identification_rows import (
     order_rows,
     verdict,
 )
-from .page import environment
+from .page.whole import environment
 from .rows import Rows
-from .summary import identification_document
 
 
 def html(result) -> str | None:

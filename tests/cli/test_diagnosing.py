@@ -302,7 +302,7 @@ def test_every_demonstrated_effect_moves_the_outputs():
 def test_public_names():
     assert {"diagnose", "Diagnosis", "CATALOGUE", "save", "load"} <= set(jaxgray.__all__)
     assert jaxgray.Diagnosis is type(diagnosis()) and len(jaxgray.CATALOGUE) > 30
-    assert jaxgray.load.__module__ == jaxgray.save.__module__ == "jaxgray.report.export"
+    assert jaxgray.load.__module__ == jaxgray.save.__module__ == "jaxgray.report.documents.export"
 
 
 SIMULATOR = """

@@ -9,8 +9,8 @@ import sys
 import pytest
 
 from jaxgray.cli import environment
-from jaxgray.numerics.kept_files import NotPrivate
-from jaxgray.numerics.stored_programs import FOLDER
+from jaxgray.numerics.programs.kept_files import NotPrivate
+from jaxgray.numerics.programs.stored_programs import FOLDER
 
 
 class Library:

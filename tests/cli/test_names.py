@@ -15,7 +15,7 @@ from independent import random_steps, simulate
 from jaxgray.cli import main
 from jaxgray.mechanics.model import MechanicalModel
 from jaxgray.records import Record, read_record
-from jaxgray.report.columns import columns_text, record_columns
+from jaxgray.report.documents.columns import columns_text, record_columns
 from jaxgray.report.exports import export
 
 SCRIPT = "</script><script>alert(1)</script>"

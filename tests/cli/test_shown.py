@@ -17,10 +17,10 @@ from independent import REFERENCE, REFERENCE_TIME, reference_record, relative_er
 
 import jaxgray
 from jaxgray.cli import main
-from jaxgray.mechanics.simulate import initial_state
-from jaxgray.numerics.backend import flags_are_known
-from jaxgray.report.figures import MOST_POINTS, bode, compare, residuals, sweep_map
-from jaxgray.report.terms import term_of
+from jaxgray.mechanics.runs.simulate import initial_state
+from jaxgray.numerics.programs.backend import flags_are_known
+from jaxgray.report.documents.terms import term_of
+from jaxgray.report.figures.identification import MOST_POINTS, bode, compare, residuals, sweep_map
 
 CHANNELS = ["--inputs", "u1,u2", "--outputs", "y1,y2"]
 

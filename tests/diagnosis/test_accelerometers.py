@@ -20,10 +20,10 @@ from jaxgray.diagnosis.equation_error.search import first_trials
 from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.routing import force_equation_trials
 from jaxgray.diagnosis.starts import equation_error as starts
-from jaxgray.mechanics.drives import BaseAcceleration, Force
 from jaxgray.mechanics.effects import by_id
+from jaxgray.mechanics.systems.drives import BaseAcceleration, Force
+from jaxgray.numerics.programs.runtime import ready
 from jaxgray.numerics.progress import Budgeted, Silent
-from jaxgray.numerics.runtime import ready
 
 H = 0.005
 FRAME = frames.Frame((120.0, 70.0, 100.0), (1.9e5, 1.7e5, 1.5e5), (120.0, 100.0, 110.0))

@@ -7,8 +7,8 @@ from found import model_findings
 from independent import simulate
 
 import jaxgray
-from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.fitted_run import fitted_run
+from jaxgray.mechanics.systems.drives import Force
 
 FINER, SAMPLES, TIME = 16, 2000, 0.01
 SYSTEM = hidden.System(np.diag([2.0, 1.0]), np.diag([3.0, 1.0]), np.array([[6000.0, -2000.0], [-2000.0, 4000.0]]))

@@ -14,8 +14,8 @@ from jaxgray.diagnosis.model import simulator as response
 from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.mechanics.effects import CATALOGUE
-from jaxgray.numerics import stored_programs
-from jaxgray.numerics.backend import flags_are_known
+from jaxgray.numerics.programs import stored_programs
+from jaxgray.numerics.programs.backend import flags_are_known
 
 PROGRAMS = response._run_and_derivative, response._run
 

@@ -11,10 +11,10 @@ from jaxgray import Record, diagnose, write_report
 from jaxgray.diagnosis.conclusions.equation_error import force_diagnosis
 from jaxgray.diagnosis.conclusions.missing_force import missing_forces
 from jaxgray.diagnosis.equation_error.without_unmeasured_forces import search_forces
-from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import by_id
+from jaxgray.mechanics.systems.drives import Force
+from jaxgray.numerics.programs.runtime import ready
 from jaxgray.numerics.progress import Silent
-from jaxgray.numerics.runtime import ready
 
 T, SAMPLES = 0.005, 3000
 LAWS = "constant_force", "dahl_friction", "coulomb_friction", "quadratic_drag", "asymmetric_friction"

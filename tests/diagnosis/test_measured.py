@@ -15,11 +15,11 @@ from jaxgray.diagnosis.conclusions.equation_error import force_diagnosis
 from jaxgray.diagnosis.conclusions.static_gain import static_diagnosis
 from jaxgray.diagnosis.equation_error.without_unmeasured_forces import search_forces
 from jaxgray.diagnosis.routing import is_single_sine, is_static, route_of
-from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import CATALOGUE, by_id
+from jaxgray.mechanics.systems.drives import Force
+from jaxgray.numerics.programs.runtime import ready
 from jaxgray.numerics.progress import Silent
-from jaxgray.numerics.runtime import ready
-from jaxgray.report.diagnosis_summary import diagnosis_document
+from jaxgray.report.documents.diagnosis import diagnosis_document
 
 MEASURED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 LAWS = tuple(

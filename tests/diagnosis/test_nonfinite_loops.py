@@ -25,8 +25,8 @@ from jaxgray.identification.setup.padding import padded_samples
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Term, places_of
 from jaxgray.mechanics.model import MechanicalModel
-from jaxgray.mechanics.statespace import StateSpace
-from jaxgray.numerics.runtime import ready
+from jaxgray.mechanics.systems.statespace import StateSpace
+from jaxgray.numerics.programs.runtime import ready
 
 VALUES = [np.inf, -np.inf, np.nan, 1e308]
 H = 0.01

@@ -36,7 +36,7 @@ def test_refits_whose_trials_overflow_find_the_law_all_the_same(monkeypatch, val
     monkeypatch.setattr(Simulator, "run_and_jacobian", outputs)
     monkeypatch.setattr(Simulator, "run", lambda self, *rest: part_of(run(self, *rest)))
     # One refit at a time: which one is spoiled must not depend on threads.
-    monkeypatch.setattr("jaxgray.numerics.side_by_side.cores", lambda: 1)
+    monkeypatch.setattr("jaxgray.numerics.programs.side_by_side.cores", lambda: 1)
     diagnosis = diagnosed(hidden_case("cubic_stiffness"), only=("cubic_stiffness", "quadratic_stiffness"))
     assert spoiled
     (found,) = model_findings(diagnosis)

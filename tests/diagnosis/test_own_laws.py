@@ -20,8 +20,8 @@ from jaxgray.diagnosis.screening.score_test import allowed
 from jaxgray.diagnosis.words.titles import title_of
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
-from jaxgray.report import export
-from jaxgray.report.diagnosis_summary import diagnosis_document
+from jaxgray.report.documents import export
+from jaxgray.report.documents.diagnosis import diagnosis_document
 
 FEW = ("coulomb_friction", "cubic_stiffness", "input_delay", "actuator_lag", "quadratic_drag")
 

@@ -8,7 +8,7 @@ from found import diagnosed, hidden_case, model_findings
 from jaxgray.diagnosis.estimation import context as context
 from jaxgray.diagnosis.estimation.gauss_newton import _Step
 from jaxgray.identification.setup.structure import Structure
-from jaxgray.numerics import side_by_side
+from jaxgray.numerics.programs import side_by_side
 
 FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "position_dependent_friction")
 

@@ -21,9 +21,9 @@ from jaxgray.diagnosis.model.reversals import undecided
 from jaxgray.diagnosis.model.simulator import Simulator
 from jaxgray.diagnosis.noise.whitening import white_noise_model
 from jaxgray.diagnosis.screening.linearization import screen_simulated, stage_of
-from jaxgray.mechanics.drives import BaseAcceleration
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
+from jaxgray.mechanics.systems.drives import BaseAcceleration
 
 PLACE = Place("floor1-floor2", 0, 1)
 NAMES = ("floor1", "floor2")

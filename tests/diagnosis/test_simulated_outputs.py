@@ -14,7 +14,7 @@ import jaxgray
 from jaxgray.diagnosis import simulated_outputs
 from jaxgray.diagnosis.findings import ModelSummary
 from jaxgray.numerics.outcomes import ComputationError
-from jaxgray.report.diagnosis_summary import diagnosis_document
+from jaxgray.report.documents.diagnosis import diagnosis_document
 
 H, SAMPLES = 0.01, 4000
 FEW = ("coulomb_friction", "cubic_stiffness", "input_delay", "quadratic_drag")

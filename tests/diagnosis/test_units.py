@@ -6,7 +6,7 @@ import pytest
 import jaxgray
 from jaxgray.diagnosis.conclusions.assembly import estimates_of
 from jaxgray.mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term, places_of
-from jaxgray.mechanics.units import composed_unit
+from jaxgray.mechanics.systems.units import composed_unit
 
 SENSORS = {"displacement": "mm", "velocity": "mm/s", "acceleration": "mm/s^2"}
 DIMENSIONS = {"N": (1, 0, 0), "mm": (0, 1, 0), "s": (0, 0, 1), "1": (0, 0, 0)}

@@ -11,7 +11,7 @@ import jaxgray
 from jaxgray.identification.identify_hidden import other_models
 from jaxgray.mechanics.effects import Term, by_id, places_of
 from jaxgray.numerics.progress import Silent
-from jaxgray.report.export import load, save
+from jaxgray.report.documents.export import load, save
 
 H, SAMPLES = 0.004, 3000
 M = np.diag([2.0, 1.2])

@@ -11,7 +11,7 @@ from shown import ROOT
 import jaxgray
 from jaxgray.demonstration import SAMPLES
 from jaxgray.demonstration_effects import simulated
-from jaxgray.report.columns import columns_text, record_columns
+from jaxgray.report.documents.columns import columns_text, record_columns
 
 H = 0.01
 SHORT = 600

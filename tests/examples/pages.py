@@ -16,7 +16,7 @@ from jaxgray.cli import main
 from jaxgray.manual.effect_pages import _alone, _errors, _overview
 from jaxgray.manual.gallery import ORDER, _command
 from jaxgray.mechanics.effects import CATALOGUE
-from jaxgray.report.catalogue import catalogue_document
+from jaxgray.report.documents.catalogue import catalogue_document
 
 PAGES = ROOT / "jaxgray" / "manual" / "pages"
 README = ROOT / "README.md"

@@ -85,7 +85,7 @@ def test_keys_depend_on_bytes_options_and_version(tmp_path, monkeypatch):
     ):
         keys.add(key_of("bytes", changed.digest()))
     keys.add(key_of("bytes", options.digest(), {"mass": [[1.0]]}))
-    monkeypatch.setattr("jaxgray.report.page.own_version", lambda: "another")
+    monkeypatch.setattr("jaxgray.report.page.whole.own_version", lambda: "another")
     keys.add(key_of("bytes", options.digest()))
     assert len(keys) == 8
     (tmp_path / "a").write_bytes(b"1")

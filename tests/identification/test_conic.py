@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from jaxgray.identification.refinement.conic import step_inside, undetermined
-from jaxgray.numerics import positive
+from jaxgray.numerics.matrices import positive
+from jaxgray.numerics.matrices.positive import (
+    ClarabelSolver,
+    PositiveLeastSquares,
+    ProjectedGradientSolver,
+    inside_cone,
+)
 from jaxgray.numerics.outcomes import ComputationError
-from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver, inside_cone
 
 SIZES = (2, 1, 1, 1)
 FLOORS = np.array([0.01, 0.0, 0.1, 0.0])

@@ -11,7 +11,7 @@ from jaxgray import Record, RowWeights, estimate, identify, sweep
 from jaxgray.identification.estimate import Options, from_factor
 from jaxgray.identification.setup.units import Scaling
 from jaxgray.identification.subspace.realization import MAPS
-from jaxgray.mechanics.drives import Force
+from jaxgray.mechanics.systems.drives import Force
 
 H, TAU, ROWS, SAMPLES = 0.02, 0.06, 4, 1000
 EYE = np.eye(2)

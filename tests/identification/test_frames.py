@@ -17,8 +17,8 @@ from jaxgray.identification.refinement import refine as refinement
 from jaxgray.identification.refinement.normal_equations import Iterate, part
 from jaxgray.identification.setup.prediction import Batch, Setting
 from jaxgray.identification.setup.preparation import prepare, scaling_of
-from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.modal_uncertainty import modal_uncertainty
+from jaxgray.mechanics.systems.drives import Force
 from jaxgray.numerics.outcomes import RESULTS
 
 

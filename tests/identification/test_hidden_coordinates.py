@@ -19,7 +19,7 @@ from jaxgray.identification.hidden import (
 from jaxgray.identification.refinement.normal_equations import join
 from jaxgray.identification.setup.prediction import Setting
 from jaxgray.identification.setup.structure import Structure
-from jaxgray.mechanics.drives import Force
+from jaxgray.mechanics.systems.drives import Force
 
 CASES = [(p, n) for p in (1, 2) for n in (1, 2, 3)]
 CHAINS = {
@@ -301,9 +301,9 @@ def test_traced_estimates_say_what_cannot_serve():
 
 
 def test_documents_rows_and_page_say_what_entries_are(tmp_path):
-    from jaxgray.report.export import load, write_json
+    from jaxgray.report.documents.export import load, write_json
+    from jaxgray.report.documents.identification import identification_document
     from jaxgray.report.identification_rows import element_rows, matrix_rows, mode_rows
-    from jaxgray.report.summary import identification_document
 
     result = found(STRUCTURE)
     document = identification_document(result)

@@ -13,7 +13,7 @@ from jaxgray.identification.setup.prediction import Batch, Setting
 from jaxgray.identification.setup.preparation import prepare, scaling_of
 from jaxgray.identification.setup.structure import Structure
 from jaxgray.identification.validation import free_modes as rival
-from jaxgray.mechanics.drives import Force
+from jaxgray.mechanics.systems.drives import Force
 
 VALUES = [np.inf, -np.inf, np.nan, 1e308]
 

@@ -7,7 +7,7 @@ import pytest
 import jaxgray
 from jaxgray.identification.validation.residuals import noise_floor
 from jaxgray.mechanics.at_stamps import about
-from jaxgray.numerics.varying_steps import response, step_matrices
+from jaxgray.numerics.responses.varying_steps import response, step_matrices
 from jaxgray.records import Record
 
 TRUTH = tuple(data.REFERENCE.values())

@@ -11,7 +11,7 @@ from jaxgray.identification.subspace.filter_bank import cascade, lambda_powers, 
 from jaxgray.identification.subspace.input_matrix import InputFit
 from jaxgray.identification.subspace.physical import from_inverse_mass, jointly
 from jaxgray.identification.subspace.realization import Realization
-from jaxgray.numerics.positive import ClarabelSolver, ProjectedGradientSolver
+from jaxgray.numerics.matrices.positive import ClarabelSolver, ProjectedGradientSolver
 
 H = 0.01
 MIXED = ("displacement", "velocity", "acceleration")

@@ -20,7 +20,7 @@ from jaxgray.identification.refinement.structured_start import nearest_structure
 from jaxgray.identification.setup.prediction import Batch, Setting
 from jaxgray.identification.setup.preparation import prepare, scaling_of
 from jaxgray.identification.setup.structure import Structure, structure_of
-from jaxgray.mechanics.drives import Force
+from jaxgray.mechanics.systems.drives import Force
 from jaxgray.numerics.outcomes import RESULTS
 
 VALUES = [np.inf, -np.inf, np.nan, 1e308]

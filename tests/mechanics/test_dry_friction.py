@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
-from jaxgray.mechanics.extended import Plant, plant_run, slots_of
-from jaxgray.mechanics.tangents import Directions, run_and_tangents
+from jaxgray.mechanics.runs.extended import Plant, plant_run, slots_of
+from jaxgray.mechanics.runs.tangents import Directions, run_and_tangents
+from jaxgray.mechanics.systems.drives import Force
 
 COULOMB, STRIBECK = by_id("coulomb_friction"), by_id("stribeck_friction")
 EPS, TIME = 1e-4, 0.01

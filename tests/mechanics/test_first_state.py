@@ -9,7 +9,7 @@ from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Term, places_of
 from jaxgray.mechanics.fitted_run import fitted_run
 from jaxgray.mechanics.model import MechanicalModel
-from jaxgray.mechanics.simulate import initial_state, predict, simulate
+from jaxgray.mechanics.runs.simulate import initial_state, predict, simulate
 from jaxgray.numerics.outcomes import ComputationError
 from jaxgray.records import Record
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from test_first_state import CUBIC, X0, H
 
-from jaxgray.mechanics import first_state, fitted_run
-from jaxgray.mechanics.first_state import refined_state
+from jaxgray.mechanics import fitted_run
 from jaxgray.mechanics.model import MechanicalModel
+from jaxgray.mechanics.runs import first_state
+from jaxgray.mechanics.runs.first_state import refined_state
 from jaxgray.numerics.outcomes import ComputationError
 from jaxgray.records import Record
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
-from jaxgray.mechanics.extended import Plant, extended_run
+from jaxgray.mechanics.runs.extended import Plant, extended_run
+from jaxgray.mechanics.systems.drives import Force
 
 TIME, FINE, SAMPLES = 0.02, 200, 400
 MASS, DAMPING, STIFFNESS = 1.0, 2.0, 400.0

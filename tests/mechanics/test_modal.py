@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxgray.mechanics.drives import BaseAcceleration, BaseDisplacement, Force
-from jaxgray.mechanics.modal import frequency_response, mac, modes, natural_frequencies_hz_and_damping
 from jaxgray.mechanics.model import MechanicalModel
+from jaxgray.mechanics.systems.drives import BaseAcceleration, BaseDisplacement, Force
+from jaxgray.mechanics.systems.modal import frequency_response, mac, modes, natural_frequencies_hz_and_damping
 
 OMEGA = np.linspace(0.3, 30.0, 40)
 

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgray.mechanics.drives import BaseAcceleration, BaseDisplacement, Force
 from jaxgray.mechanics.effects import CATALOGUE
 from jaxgray.mechanics.effects.base import Term, places_of
 from jaxgray.mechanics.model import MechanicalModel
-from jaxgray.report.export import load, save, write_json
+from jaxgray.mechanics.systems.drives import BaseAcceleration, BaseDisplacement, Force
+from jaxgray.report.documents.export import load, save, write_json
 
 NAMES = {"input_names": ["f"], "output_names": ["left", "right"], "output_units": ["mm", "mm"]}
 R = jnp.asarray([[1.0], [1 / 3]])

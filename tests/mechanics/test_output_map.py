@@ -5,11 +5,11 @@ import pytest
 import scipy.signal
 
 import jaxgray
-from jaxgray.mechanics.drives import BaseAcceleration, Force
 from jaxgray.mechanics.effects import CATALOGUE
 from jaxgray.mechanics.effects.base import Term, places_of
 from jaxgray.mechanics.matrix_units import matrix_units
-from jaxgray.report.export import load, model_document, save
+from jaxgray.mechanics.systems.drives import BaseAcceleration, Force
+from jaxgray.report.documents.export import load, model_document, save
 from jaxgray.report.exports.arrays import arrays_of
 
 M = np.diag([2.0, 1.0, 0.5])
@@ -54,7 +54,7 @@ def test_simulation_is_that_of_scipy(measured):
     simulated = model.simulate(u, H, x0=x0)
     np.testing.assert_allclose(simulated, wanted, atol=1e-9 * np.max(np.abs(wanted)))
     if measured == "displacement":
-        found = jaxgray.mechanics.simulate.initial_state(model, u, wanted, H)
+        found = jaxgray.mechanics.runs.simulate.initial_state(model, u, wanted, H)
         np.testing.assert_allclose(found[0], x0, atol=1e-6)
     assert model.predict(u, wanted, H, force_noise_ratio=0.1).shape == (200, 2)
 

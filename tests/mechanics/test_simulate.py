@@ -7,9 +7,9 @@ import scipy.integrate
 import scipy.linalg
 import scipy.signal
 
-from jaxgray.mechanics.drives import BaseAcceleration, BaseDisplacement
 from jaxgray.mechanics.model import MechanicalModel
-from jaxgray.mechanics.simulate import initial_state, predict, simulate
+from jaxgray.mechanics.runs.simulate import initial_state, predict, simulate
+from jaxgray.mechanics.systems.drives import BaseAcceleration, BaseDisplacement
 from jaxgray.numerics.outcomes import ComputationError
 from jaxgray.records import Record
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxgray.mechanics.drives import Force
-from jaxgray.mechanics.statespace import continuous_matrix, hold_matrices, sampled
+from jaxgray.mechanics.systems.drives import Force
+from jaxgray.mechanics.systems.statespace import continuous_matrix, hold_matrices, sampled
 
 H = 0.05
 

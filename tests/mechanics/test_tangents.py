@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgray.mechanics.drives import Force
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
-from jaxgray.mechanics.extended import Plant, plant_run, slots_of
-from jaxgray.mechanics.tangents import CHUNK, Directions, run_and_tangents
+from jaxgray.mechanics.runs.extended import Plant, plant_run, slots_of
+from jaxgray.mechanics.runs.tangents import CHUNK, Directions, run_and_tangents
+from jaxgray.mechanics.systems.drives import Force
 
 SAMPLES = CHUNK + 44
 FORCES = {

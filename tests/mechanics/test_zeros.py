@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgray.mechanics.drives import BaseDisplacement, Force
 from jaxgray.mechanics.model import MechanicalModel
-from jaxgray.mechanics.zeros import transmission_zeros, zeros
+from jaxgray.mechanics.systems.drives import BaseDisplacement, Force
+from jaxgray.mechanics.systems.zeros import transmission_zeros, zeros
 
 N = 4
 M = np.diag([1.0, 2.0, 1.5, 0.7])

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgray.numerics import backend
+from jaxgray.numerics.programs import backend
 
 
 def test_version_is_not_known_to_be_wrong():

@@ -8,11 +8,11 @@ import equinox as eqx
 import jax
 import pytest
 
-from jaxgray.mechanics.drives import Force
-from jaxgray.mechanics.step_rows import Plant
-from jaxgray.numerics import kept_files
-from jaxgray.numerics.kept_files import NotPrivate, private_folder, read_kept, write_kept
-from jaxgray.numerics.result_forms import Unknown, form_of, form_text
+from jaxgray.mechanics.systems.drives import Force
+from jaxgray.mechanics.systems.step_rows import Plant
+from jaxgray.numerics.programs import kept_files
+from jaxgray.numerics.programs.kept_files import NotPrivate, private_folder, read_kept, write_kept
+from jaxgray.numerics.programs.result_forms import Unknown, form_of, form_text
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners here")
 
@@ -189,8 +189,8 @@ def test_other_forms_are_not_written(tree):
     [
         '["class", ["os", "system"], {}]',
         '["class", ["jaxgray.cli", "main"], {}]',
-        '["class", ["jaxgray.numerics.kept_files", "NotPrivate"], {}]',
-        '["class", ["jaxgray.numerics.kept_files", "os"], {}]',
+        '["class", ["jaxgray.numerics.programs.kept_files", "NotPrivate"], {}]',
+        '["class", ["jaxgray.numerics.programs.kept_files", "os"], {}]',
         '["run", "id"]',
     ],
 )

@@ -8,9 +8,7 @@ import scipy.linalg
 import scipy.signal
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from jaxgray.numerics.filters import correlation, filtered
-from jaxgray.numerics.lifting import free_response, respond
-from jaxgray.numerics.linear_algebra import (
+from jaxgray.numerics.matrices.linear_algebra import (
     dominant_subspace,
     duplication,
     from_symmetric_vector,
@@ -20,12 +18,14 @@ from jaxgray.numerics.linear_algebra import (
     symmetric_vector,
     triangular_factor,
 )
-from jaxgray.numerics.matrix_exponential import matrix_exponential
-from jaxgray.numerics.matrix_logarithm import matrix_logarithm
+from jaxgray.numerics.matrices.matrix_exponential import matrix_exponential
+from jaxgray.numerics.matrices.matrix_logarithm import matrix_logarithm
+from jaxgray.numerics.matrices.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver
+from jaxgray.numerics.matrices.riccati import kalman_gain
 from jaxgray.numerics.outcomes import ComputationError
-from jaxgray.numerics.positive import ClarabelSolver, PositiveLeastSquares, ProjectedGradientSolver
-from jaxgray.numerics.riccati import kalman_gain
-from jaxgray.numerics.runtime import COLLECT_AFTER, undisturbed
+from jaxgray.numerics.programs.runtime import COLLECT_AFTER, undisturbed
+from jaxgray.numerics.responses.filters import correlation, filtered
+from jaxgray.numerics.responses.lifting import free_response, respond
 
 
 @pytest.mark.parametrize("samples", [1, 31, 32, 500, 5000])

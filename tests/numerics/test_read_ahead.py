@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from jaxgray.numerics.kept_files import write_kept
-from jaxgray.numerics.read_ahead import ReadAhead
+from jaxgray.numerics.programs.kept_files import write_kept
+from jaxgray.numerics.programs.read_ahead import ReadAhead
 
 
 class Reading:

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgray.numerics.lifting import respond
-from jaxgray.numerics.response_products import response_products
-from jaxgray.numerics.sensitivity import (
+from jaxgray.numerics.responses.lifting import respond
+from jaxgray.numerics.responses.response_products import response_products
+from jaxgray.numerics.responses.sensitivity import (
     ChannelBlocks,
     by_blocks,
     from_blocks,

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxgray.numerics import side_by_side as module
-from jaxgray.numerics.side_by_side import side_by_side
+from jaxgray.numerics.programs import side_by_side as module
+from jaxgray.numerics.programs.side_by_side import side_by_side
 
 
 def test_results_come_in_order_and_failures_reach_the_caller(monkeypatch):

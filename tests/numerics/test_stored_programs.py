@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from jaxgray.mechanics.effects.base import Place
-from jaxgray.numerics import stored_programs
-from jaxgray.numerics.backend import flags_are_known
-from jaxgray.numerics.kept_files import MAGIC, private_folder, read_kept, write_kept
-from jaxgray.numerics.stored_programs import StoredProgram
+from jaxgray.numerics.programs import stored_programs
+from jaxgray.numerics.programs.backend import flags_are_known
+from jaxgray.numerics.programs.kept_files import MAGIC, private_folder, read_kept, write_kept
+from jaxgray.numerics.programs.stored_programs import StoredProgram
 
 traced = []
 

@@ -341,7 +341,7 @@ def test_chunks_of_damaged_files_are_a_line(folder):
 
 
 def test_json_of_a_model_that_nests_deep_or_has_huge_numbers(folder):
-    from jaxgray.report import export
+    from jaxgray.report.documents import export
 
     good = {"mass": [[2.0]], "damping": [[1.0]], "stiffness": [[9.0]]}
     for key, value, words in (

@@ -14,12 +14,12 @@ from jaxgray.diagnosis.model.own_laws import ParameterError
 from jaxgray.diagnosis.words.titles import NAMES, place_of, title_of, value_text
 from jaxgray.mechanics.effects import CATALOGUE, MODEL_ERRORS, RECORD_FINDINGS
 from jaxgray.mechanics.energy import EnergyBalance, LawEnergy
-from jaxgray.report.catalogue import catalogue_document, show_catalogue, unit_pattern
-from jaxgray.report.diagnosis_figures import extension
 from jaxgray.report.diagnosis_rows import energy_words
-from jaxgray.report.diagnosis_summary import diagnosis_document
 from jaxgray.report.diagnosis_terminal import show_diagnosis
-from jaxgray.report.page import html_of
+from jaxgray.report.documents.catalogue import catalogue_document, show_catalogue, unit_pattern
+from jaxgray.report.documents.diagnosis import diagnosis_document
+from jaxgray.report.figures.diagnosis import extension
+from jaxgray.report.page.whole import html_of
 
 NAN = float("nan")
 MISSED = "The linear model misses 2.8× the noise floor at y1. "

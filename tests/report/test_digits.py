@@ -10,12 +10,12 @@ from made_diagnosis import diagnosis, equivalent, nothing, wrong_numbers
 from rich.console import Console
 
 from jaxgray.diagnosis.findings import Estimate
-from jaxgray.report.diagnosis_summary import diagnosis_document
 from jaxgray.report.diagnosis_terminal import show_diagnosis
-from jaxgray.report.export import plain
+from jaxgray.report.documents.diagnosis import diagnosis_document
+from jaxgray.report.documents.export import plain
+from jaxgray.report.documents.identification import identification_document
 from jaxgray.report.notebook import html
-from jaxgray.report.page import html_of
-from jaxgray.report.summary import identification_document
+from jaxgray.report.page.whole import html_of
 from jaxgray.report.terminal import show_identification
 
 NUMBER = r"[-−+]?\d[\d ]*\.?\d*"

@@ -13,8 +13,9 @@ from jaxgray.diagnosis.conclusions.missing_force import missing_forces
 from jaxgray.diagnosis.conclusions.spectra import spectra
 from jaxgray.diagnosis.findings import Curves, Estimate, Finding, Member, ModelSummary
 from jaxgray.mechanics.effects import Place, Term, by_id
-from jaxgray.report import diagnosis_figures, modal_figures
-from jaxgray.report.binning import binned, decided_by
+from jaxgray.report.figures import diagnosis as diagnosis_figures
+from jaxgray.report.figures import modal as modal_figures
+from jaxgray.report.page.binning import binned, decided_by
 
 H, CUBIC = 0.01, 400.0
 

@@ -19,10 +19,10 @@ from made_diagnosis import diagnosis
 
 import jaxgray
 from jaxgray.cli import main
-from jaxgray.mechanics.drives import BaseAcceleration, BaseDisplacement, Force
 from jaxgray.mechanics.model import MechanicalModel
+from jaxgray.mechanics.systems.drives import BaseAcceleration, BaseDisplacement, Force
+from jaxgray.report.documents.terms import term_of
 from jaxgray.report.exports import EXPORTS
-from jaxgray.report.terms import term_of
 
 H, SAMPLES = 0.02, 250
 AGREEMENT = 1e-10
@@ -347,9 +347,9 @@ def test_the_command(tmp_path, capsys):
     assert scipy.io.loadmat(target)["Ts"] == H
     assert main(["export", str(given), str(tmp_path / "no" / "a.mat"), "--linear"]) == 2
     # The sampling time and the hold of the record that a result came from.
-    document = jaxgray.report.export.model_document(MODELS["forces"])
+    document = jaxgray.report.documents.export.model_document(MODELS["forces"])
     result = {"model": document, "records": {"estimation": [{"sampling_time": 0.004, "hold": "linear"}]}}
-    jaxgray.report.export.write_json(result, given)
+    jaxgray.report.documents.export.write_json(result, given)
     assert main(["export", str(given), str(tmp_path / "a.h"), "--quiet"]) == 0
     text = (tmp_path / "a.h").read_text()
     assert "#define A_SAMPLING_TIME 0.004\n" in text and "is straight between samples" in text

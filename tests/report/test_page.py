@@ -11,10 +11,11 @@ from made_diagnosis import diagnosis, equivalent, model, nothing, wrong_numbers
 
 import jaxgray
 from jaxgray.diagnosis.findings import Gain
-from jaxgray.report import page, page_parts
 from jaxgray.report.diagnosis_rows import candidate_rows, candidates, in_words
-from jaxgray.report.diagnosis_summary import diagnosis_document
-from jaxgray.report.time_plots import stretches
+from jaxgray.report.documents.diagnosis import diagnosis_document
+from jaxgray.report.page import parts as page_parts
+from jaxgray.report.page import whole as page
+from jaxgray.report.page.time_plots import stretches
 
 PARTS = ["findings", "time", "spectra", "missing", "ranking", "shift", "budget", "not-found", "experiment", "data"]
 

@@ -7,8 +7,8 @@ import pytest
 from made_diagnosis import diagnosis, equivalent, nothing
 
 import jaxgray
-from jaxgray.report.diagnosis_summary import diagnosis_document
-from jaxgray.report.page import page_of
+from jaxgray.report.documents.diagnosis import diagnosis_document
+from jaxgray.report.page.whole import page_of
 
 WIDE = "[...document.querySelectorAll('.drawing')].filter((one) => one.offsetWidth > 390).length"
 

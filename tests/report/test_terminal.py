@@ -5,7 +5,7 @@ import pytest
 
 from jaxgray import BaseAcceleration, Force, MechanicalModel
 from jaxgray.mechanics.matrix_units import matrix_units
-from jaxgray.mechanics.units import displacement_unit
+from jaxgray.mechanics.systems.units import displacement_unit
 from jaxgray.numerics.text import plus_minus
 from jaxgray.report.identification_rows import verdict
 from jaxgray.report.terminal import progress

@@ -15,9 +15,11 @@ from made_diagnosis import diagnosis
 import jaxgray
 from jaxgray import schemas
 from jaxgray.cli import main
-from jaxgray.report import export, notebook, page
-from jaxgray.report.catalogue import catalogue_document
-from jaxgray.report.diagnosis_summary import diagnosis_document
+from jaxgray.report import notebook
+from jaxgray.report.documents import export
+from jaxgray.report.documents.catalogue import catalogue_document
+from jaxgray.report.documents.diagnosis import diagnosis_document
+from jaxgray.report.page import whole as page
 
 PACKAGE = Path(jaxgray.__file__).parent
 

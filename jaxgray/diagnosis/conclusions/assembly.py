@@ -8,8 +8,8 @@ import numpy as np
 from ...identification.validation.residuals import fit_of
 from ...mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect, Term
 from ...mechanics.model import MechanicalModel
-from ...mechanics.units import composed_unit, displacement_unit
-from ...numerics.stored_programs import ONCE, stored
+from ...mechanics.systems.units import composed_unit, displacement_unit
+from ...numerics.programs.stored_programs import ONCE, stored
 from ...records import Record
 from ..estimation.change_points import change_point_errors
 from ..estimation.context import SearchContext

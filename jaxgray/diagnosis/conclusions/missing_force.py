@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.drives import Force
 from ...mechanics.effects.base import AbstractForceEffect, AbstractInputEffect, Term
-from ...mechanics.extended import arm_along, input_matrix_of
+from ...mechanics.runs.extended import arm_along, input_matrix_of
+from ...mechanics.systems.drives import Force
 from ..equation_error.band import band_of
 from ..equation_error.rows import Series, contribution, series_of
 from ..estimation.element_sums import at_one_threshold, elements_of

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...identification.refinement.conic import pseudo_inverse
-from ...numerics.bounded import bounded
+from ...numerics.matrices.bounded import bounded
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from .. import settings

@@ -3,13 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.drives import BaseDisplacement
 from ...mechanics.effects.base import AbstractForceEffect, AbstractMatrixEffect
 from ...mechanics.energy import EnergyBalance, energy_balance
-from ...mechanics.extended import changed_plant
 from ...mechanics.model import MechanicalModel
 from ...mechanics.passivity import violations
-from ...mechanics.step_rows import Plant
+from ...mechanics.runs.extended import changed_plant
+from ...mechanics.systems.drives import BaseDisplacement
+from ...mechanics.systems.step_rows import Plant
 from ...numerics.outcomes import ComputationError
 from ...records import Record
 from ..words.titles import title_of

@@ -4,9 +4,9 @@ import numpy as np
 
 from ...identification import Identification
 from ...identification.validation.residuals import fit_of
-from ...mechanics.drives import AbstractDrive, Force
 from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect
 from ...mechanics.model import MechanicalModel
+from ...mechanics.systems.drives import AbstractDrive, Force
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from .. import settings

@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.model import MechanicalModel
-from ...mechanics.simulate import initial_state
+from ...mechanics.runs.simulate import initial_state
 from ...numerics.text import listed
 from ...records import Record
 from .. import settings

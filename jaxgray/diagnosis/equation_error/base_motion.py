@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.drives import BaseAcceleration, Force
-from ...mechanics.extended import held_input
+from ...mechanics.runs.extended import held_input
+from ...mechanics.systems.drives import BaseAcceleration, Force
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
 from .integrated_band import ROWS_PER_COEFFICIENT, integrated_band, motion_and_lines, weights_of

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ...mechanics.effects.base import Term
-from ...numerics.bounded import bounded
-from ...numerics.linear_algebra import duplication, from_symmetric_vector
-from ...numerics.positive import ClarabelSolver, PositiveLeastSquares
+from ...numerics.matrices.bounded import bounded
+from ...numerics.matrices.linear_algebra import duplication, from_symmetric_vector
+from ...numerics.matrices.positive import ClarabelSolver, PositiveLeastSquares
 from .. import settings
 from ..model.candidate import estimated
 from ..noise.effective_samples import independent_share

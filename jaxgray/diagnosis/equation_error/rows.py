@@ -16,9 +16,9 @@ import scipy
 from jaxtyping import Bool, Float
 
 from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Local, Place, Scales
-from ...mechanics.extended import arm_along, held_input
-from ...mechanics.force_over_time import force_over_time
-from ...numerics.stored_programs import stored
+from ...mechanics.runs.extended import arm_along, held_input
+from ...mechanics.runs.force_over_time import force_over_time
+from ...numerics.programs.stored_programs import stored
 from ...records import Record
 from ..screening.scales import LEVELS, root_mean_square
 from .band import ORDER, Band, integrals

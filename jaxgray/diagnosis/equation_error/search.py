@@ -13,9 +13,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from ...mechanics.drives import AbstractDrive
 from ...mechanics.effects.base import AbstractEffect, Term
 from ...mechanics.model import MechanicalModel
+from ...mechanics.systems.drives import AbstractDrive
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record

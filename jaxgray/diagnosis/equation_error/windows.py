@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...mechanics.extended import Plant, plant_run, slots_of
 from ...mechanics.model import MechanicalModel
-from ...numerics.bounded import LARGEST
-from ...numerics.stored_programs import stored
+from ...mechanics.runs.extended import Plant, plant_run, slots_of
+from ...numerics.matrices.bounded import LARGEST
+from ...numerics.programs.stored_programs import stored
 from ...records import Record
 from ..model.free_run import FreeRun
 from .rows import Series, at_rest_of

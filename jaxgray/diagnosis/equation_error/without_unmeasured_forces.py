@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ...mechanics.drives import AbstractDrive
 from ...mechanics.effects.base import AbstractEffect
+from ...mechanics.systems.drives import AbstractDrive
 from ...numerics.outcomes import ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...identification.refinement.conic import pseudo_inverse, step_inside, undetermined
-from ...numerics.bounded import bounded
-from ...numerics.positive import ClarabelSolver
+from ...numerics.matrices.bounded import bounded
+from ...numerics.matrices.positive import ClarabelSolver
 from ..model.candidate import Candidate, Data, Setup
 from ..model.parameter_vector import Layout, state_step
 from ..model.reversals import decided_residual

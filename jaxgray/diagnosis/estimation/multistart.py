@@ -7,8 +7,8 @@ import numpy as np
 
 from ...mechanics.effects.base import Term
 from ...mechanics.effects.stiffness import DeadZoneStiffness, EndStop
-from ...mechanics.extended import arm_of
-from ...numerics.side_by_side import side_by_side
+from ...mechanics.runs.extended import arm_of
+from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..acceptance import at_its_bound
 from ..findings import NOT_SIMULATED, Reason, Refusal, Rejected

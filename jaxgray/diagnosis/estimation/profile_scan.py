@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ...mechanics.effects.base import Term
-from ...numerics.side_by_side import side_by_side
+from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..model.candidate import Candidate
 from ..model.parameter_vector import Layout

@@ -11,7 +11,7 @@ from ...identification.setup.structure import Structure
 from ...identification.setup.units import Scaling
 from ...mechanics.model import MechanicalModel
 from ...mechanics.passivity import violations
-from ...mechanics.simulate import initial_state
+from ...mechanics.runs.simulate import initial_state
 from ...records import Record
 from .candidate import Candidate, Setup
 from .own_laws import laws_of

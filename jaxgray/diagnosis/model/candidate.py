@@ -11,8 +11,8 @@ from ...identification.refinement.normal_equations import join, part
 from ...identification.setup.padding import padded_samples
 from ...identification.setup.structure import Structure
 from ...identification.setup.units import Scaling
-from ...mechanics.drives import AbstractDrive, Force
 from ...mechanics.effects.base import Term
+from ...mechanics.systems.drives import AbstractDrive, Force
 from ...records import Record
 
 LONGER = 4

@@ -17,8 +17,8 @@ from ...identification.setup.preparation import scaling_of
 from ...identification.setup.structure import Structure, structure_of
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Term, places_of
 from ...mechanics.model import MechanicalModel
-from ...numerics.backend import cores
-from ...numerics.stored_programs import keeps_programs
+from ...numerics.programs.backend import cores
+from ...numerics.programs.stored_programs import keeps_programs
 from ...records import Record
 from .candidate import Candidate, Data, Setup
 from .own_laws import laws_of

@@ -8,8 +8,8 @@ right: such samples say nothing of the parameters, and least squares would follo
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...mechanics.extended import arm_of
-from ...numerics.bounded import bounded
+from ...mechanics.runs.extended import arm_of
+from ...numerics.matrices.bounded import bounded
 from .. import settings
 from .candidate import Candidate, Data
 from .simulator import Simulator

@@ -22,10 +22,10 @@ from ...mechanics.effects.base import (
     Place,
     Term,
 )
-from ...mechanics.extended import Plant, changed_input, changed_plant, held_input, plant_motion, sensed, slots_of
 from ...mechanics.model import MechanicalModel
-from ...mechanics.tangents import Directions, run_and_tangents
-from ...numerics.stored_programs import OFTEN, ONCE, stored
+from ...mechanics.runs.extended import Plant, changed_input, changed_plant, held_input, plant_motion, sensed, slots_of
+from ...mechanics.runs.tangents import Directions, run_and_tangents
+from ...numerics.programs.stored_programs import OFTEN, ONCE, stored
 from .candidate import Candidate, Data, Setup, estimated, of_record
 from .own_laws import columns_of, completed
 

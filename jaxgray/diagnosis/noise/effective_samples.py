@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ...numerics.filters import correlation
+from ...numerics.responses.filters import correlation
 
 LAGS = 100
 

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...mechanics.statespace import StateSpace
+from ...mechanics.systems.statespace import StateSpace
 from .whitening import _FLOOR, _kalman_gain, _respond, white_part
 
 UNDAMPED = 1e-8

@@ -18,13 +18,13 @@ import scipy.linalg
 from jaxtyping import Bool, Float
 
 from ...identification.validation.residuals import AR_ORDER, ar_coefficients
-from ...mechanics.statespace import StateSpace
-from ...numerics.bounded import bounded
-from ...numerics.filters import filtered
-from ...numerics.lifting import respond, respond_many
-from ...numerics.riccati import kalman_gain
-from ...numerics.side_by_side import side_by_side
-from ...numerics.stored_programs import ONCE, stored
+from ...mechanics.systems.statespace import StateSpace
+from ...numerics.matrices.bounded import bounded
+from ...numerics.matrices.riccati import kalman_gain
+from ...numerics.programs.side_by_side import side_by_side
+from ...numerics.programs.stored_programs import ONCE, stored
+from ...numerics.responses.filters import filtered
+from ...numerics.responses.lifting import respond, respond_many
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
 """Force noise relative to the inputs' mean square that is tried."""

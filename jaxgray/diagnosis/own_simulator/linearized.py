@@ -13,11 +13,11 @@ import scipy.linalg
 import scipy.signal
 from jaxtyping import Float
 
-from ...mechanics.drives import Force
-from ...mechanics.extended import Plant, held_input
-from ...mechanics.statespace import hold_matrices
+from ...mechanics.runs.extended import Plant, held_input
+from ...mechanics.systems.drives import Force
+from ...mechanics.systems.statespace import hold_matrices
 from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.stored_programs import ONCE, stored
+from ...numerics.programs.stored_programs import ONCE, stored
 from ...records import Record
 from ..equation_error.rows import around_samples
 from ..model.candidate import Data

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...mechanics.effects.base import AbstractForceEffect, Place, Term
-from ...mechanics.step_rows import Plant
-from ...numerics.bounded import bounded
+from ...mechanics.systems.step_rows import Plant
+from ...numerics.matrices.bounded import bounded
 from ..model import simulator as free_run
 from ..model.candidate import Candidate, Data, Setup, of_record
 from .linearized import moved_from_rest, over_samples, sampled_over_time

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...mechanics.drives import Force
 from ...mechanics.effects.base import AbstractForceEffect, AbstractOutputEffect, Term
-from ...mechanics.extended import changed_input, held_input, sensed
 from ...mechanics.model import MechanicalModel
-from ...numerics.bounded import bounded
+from ...mechanics.runs.extended import changed_input, held_input, sensed
+from ...mechanics.systems.drives import Force
+from ...numerics.matrices.bounded import bounded
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
 from ..model.candidate import Candidate, Data

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...mechanics.drives import Force
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect
+from ...mechanics.systems.drives import Force
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record

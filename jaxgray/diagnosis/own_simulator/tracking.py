@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...numerics.bounded import bounded
+from ...numerics.matrices.bounded import bounded
 from ...records import Record
 from ..noise.whitening import white_part
 from .calls import Call, Failure, Simulator

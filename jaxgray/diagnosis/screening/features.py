@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.drives import Force
 from ...mechanics.effects.base import (
     AbstractEffect,
     AbstractForceEffect,
@@ -25,12 +24,13 @@ from ...mechanics.effects.base import (
     Term,
     places_of,
 )
-from ...mechanics.extended import Plant, arm_of, held_input, input_matrix_of, local_rows, with_coordinates
-from ...mechanics.force_over_time import force_over_time
-from ...mechanics.statespace import hold_matrices
-from ...numerics.lifting import respond
-from ...numerics.side_by_side import side_by_side
-from ...numerics.stored_programs import ONCE, stored
+from ...mechanics.runs.extended import Plant, arm_of, held_input, input_matrix_of, local_rows, with_coordinates
+from ...mechanics.runs.force_over_time import force_over_time
+from ...mechanics.systems.drives import Force
+from ...mechanics.systems.statespace import hold_matrices
+from ...numerics.programs.side_by_side import side_by_side
+from ...numerics.programs.stored_programs import ONCE, stored
+from ...numerics.responses.lifting import respond
 from ..model.candidate import Data
 
 BATCH = 16

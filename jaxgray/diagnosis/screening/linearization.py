@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ...mechanics.effects.base import AbstractEffect, AbstractOutputEffect, Place, Term
-from ...mechanics.extended import Plant, input_matrix_of
-from ...mechanics.statespace import StateSpace, sampled
-from ...numerics.stored_programs import ONCE, stored
+from ...mechanics.runs.extended import Plant, input_matrix_of
+from ...mechanics.systems.statespace import StateSpace, sampled
+from ...numerics.programs.stored_programs import ONCE, stored
 from ..model.candidate import Candidate, Data
 from ..model.own_laws import ParameterError, parameter_errors, wrong_number
 from ..model.reversals import decided_residual

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.effects.base import Scales
-from ...mechanics.extended import Plant, input_matrix_of
+from ...mechanics.runs.extended import Plant, input_matrix_of
 from ..model.candidate import Data
 from ..model.simulator import natural_frequencies_hz
 from .features import Motion

@@ -6,8 +6,8 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
+from ...numerics.programs.runtime import relieve
 from ...numerics.progress import BudgetSpent
-from ...numerics.runtime import relieve
 from .. import settings
 from ..acceptance import at_its_bound, unproven, unsound
 from ..estimation.context import SearchContext, stage_of_candidate

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
-from ...mechanics.simulate import initial_state
-from ...numerics.bounded import bounded
+from ...mechanics.runs.simulate import initial_state
+from ...numerics.matrices.bounded import bounded
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.continuation import ROUGH, settled

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from ...numerics.side_by_side import side_by_side
+from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.multistart import Attempt, attempts_of, compared, unresolved

@@ -16,7 +16,7 @@ from ...identification import Identification
 from ...identification.initialization.modal_start import modal_start
 from ...identification.initialization.start import nearest_physical
 from ...identification.setup.preparation import prepare
-from ...mechanics.simulate import initial_state
+from ...mechanics.runs.simulate import initial_state
 from ...numerics.outcomes import ComputationError
 from ...records import Record
 from .. import settings

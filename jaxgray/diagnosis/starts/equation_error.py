@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 
 from ...mechanics.effects.base import Term
-from ...numerics.side_by_side import side_by_side
+from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..equation_error.search import Trial
 from ..estimation.context import SearchContext, noise_model_of

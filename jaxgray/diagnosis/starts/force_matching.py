@@ -10,8 +10,8 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.effects.base import AbstractForceEffect, Term
-from ...mechanics.extended import arm_of
-from ...numerics.side_by_side import side_by_side
+from ...mechanics.runs.extended import arm_of
+from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, refit_to_convergence

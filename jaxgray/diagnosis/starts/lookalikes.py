@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...mechanics.effects.base import Term
-from ...numerics.side_by_side import side_by_side
+from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, refit_to_convergence

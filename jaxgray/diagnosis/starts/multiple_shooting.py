@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from ...numerics.bounded import bounded
+from ...numerics.matrices.bounded import bounded
 from ..equation_error.rows import Series
 from ..estimation.context import SearchContext
 from ..estimation.continuation import ROUGH

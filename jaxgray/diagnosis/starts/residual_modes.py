@@ -7,7 +7,7 @@ residual taken as white is refitted and judged by what it is worth then.
 """
 
 from ...mechanics.effects.disturbance import PeriodicDisturbance
-from ...numerics.side_by_side import side_by_side
+from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import refit_to_convergence

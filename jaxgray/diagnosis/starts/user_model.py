@@ -11,12 +11,12 @@ import numpy as np
 
 from ...identification import identify
 from ...identification.refinement.conic import pseudo_inverse
-from ...mechanics.drives import Force
 from ...mechanics.effects import MODEL_ERRORS
 from ...mechanics.effects.base import AbstractEffect
-from ...mechanics.extended import Plant, changed_plant
-from ...mechanics.simulate import initial_state
-from ...numerics.bounded import bounded
+from ...mechanics.runs.extended import Plant, changed_plant
+from ...mechanics.runs.simulate import initial_state
+from ...mechanics.systems.drives import Force
+from ...numerics.matrices.bounded import bounded
 from ...numerics.outcomes import ComputationError
 from ...records import Record
 from .. import settings

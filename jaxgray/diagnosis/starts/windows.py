@@ -18,9 +18,9 @@ from jaxtyping import Float
 
 from ...identification.refinement.conic import pseudo_inverse
 from ...mechanics.effects.base import AbstractEffect, Place, Term, onset_of
-from ...mechanics.extended import arm_along
-from ...numerics.bounded import bounded
-from ...numerics.side_by_side import side_by_side
+from ...mechanics.runs.extended import arm_along
+from ...numerics.matrices.bounded import bounded
+from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..estimation.context import SearchContext
 from ..estimation.continuation import ROUGH, refit_to_convergence

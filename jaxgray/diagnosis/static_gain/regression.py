@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ...mechanics.effects.base import AbstractForceEffect, Place, Scales, Term
-from ...mechanics.extended import held_input
-from ...numerics.bounded import bounded
-from ...numerics.stored_programs import stored
+from ...mechanics.runs.extended import held_input
+from ...numerics.matrices.bounded import bounded
+from ...numerics.programs.stored_programs import stored
 from ...records import Record
 from ..model.candidate import estimated
 from ..model.free_run import FreeRun

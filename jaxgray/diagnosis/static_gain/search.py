@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...identification.validation.structure_test import ROUNDING
-from ...mechanics.drives import AbstractDrive, Force
 from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Place, Scales, Term, places_of
 from ...mechanics.effects.stiffness import DeadZoneStiffness, EndStop
+from ...mechanics.systems.drives import AbstractDrive, Force
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from .. import settings

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Local, Scales, Term
-from ...numerics.stored_programs import stored
+from ...numerics.programs.stored_programs import stored
 
 STEPS = 30
 """Of Newton's method at every sample."""

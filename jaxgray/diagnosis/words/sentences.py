@@ -6,8 +6,8 @@ import textwrap
 
 import numpy as np
 
-from ...mechanics.drives import Force
 from ...mechanics.effects import CATALOGUE
+from ...mechanics.systems.drives import Force
 from ...numerics.text import listed, plus_minus
 from .. import settings
 from ..findings import DiagnosisFields, Finding, Gain, ParameterShift

@@ -7,7 +7,7 @@ import scipy.stats
 from jaxtyping import Float
 
 from ...diagnosis.words.titles import title_of
-from ...numerics.linear_algebra import triangle
+from ...numerics.matrices.linear_algebra import triangle
 from ..population import discoveries
 from .changes import FEWEST, Change, change_of, conditions, shapes_of
 

@@ -25,12 +25,12 @@ from ...identification.refinement.uncertainty import entry_names
 from ...identification.setup.options import drive_of
 from ...mechanics.at_stamps import at_own_times
 from ...mechanics.effects import by_id
-from ...mechanics.extended import Plant
 from ...mechanics.fitted_run import fitted_run
 from ...mechanics.modal_uncertainty import stacked_entries, with_entries
 from ...mechanics.model import MechanicalModel
-from ...mechanics.simulate import free_run
-from ...numerics.stored_programs import stored
+from ...mechanics.runs.extended import Plant
+from ...mechanics.runs.simulate import free_run
+from ...numerics.programs.stored_programs import stored
 from ...records import Record
 
 WEAR = (

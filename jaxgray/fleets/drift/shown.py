@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...report.page_parts import Plot, Section, Table, Words, axis
+from ...report.page.parts import Plot, Section, Table, Words, axis
 from ...report.rows import Rows
 from .changes import curve
 from .machines import RATE, Drift

@@ -12,8 +12,8 @@ from ...identification.streaming import best_choice, model_of_factors, pattern_o
 from ...identification.subspace.compression import factor_of_rows
 from ...identification.subspace.filter_bank import pole
 from ...mechanics.model import MechanicalModel
+from ...numerics.programs.runtime import ready
 from ...numerics.progress import AbstractProgress, Silent
-from ...numerics.runtime import ready
 from ...records import Record
 from ..runner import carry_out, engines, refuse
 from ..tasks import names

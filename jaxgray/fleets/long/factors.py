@@ -21,7 +21,7 @@ from ...identification.setup.padding import CHUNK_BLOCKS
 from ...identification.subspace.compression import RANK_TOLERANCE, FactorState, absorb, begin
 from ...identification.subspace.correlation import add_samples, gram, no_moments
 from ...identification.subspace.filter_bank import cascade
-from ...numerics.lifting import BLOCK
+from ...numerics.responses.lifting import BLOCK
 from .source import Source
 
 STEP = 2**14

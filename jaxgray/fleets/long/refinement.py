@@ -15,11 +15,11 @@ from jaxtyping import Float
 from ...identification.setup.options import drive_of
 from ...identification.setup.prediction import Setting
 from ...mechanics.model import MechanicalModel
-from ...numerics.linear_algebra import from_triangle, triangle
+from ...numerics.matrices.linear_algebra import from_triangle, triangle
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress, Silent
-from ...numerics.response_products import response_products
-from ...numerics.sensitivity import by_blocks, lift_by_channel
+from ...numerics.responses.response_products import response_products
+from ...numerics.responses.sensitivity import by_blocks, lift_by_channel
 from ..runner import carry_out, engines, refuse
 from .compressed import LongRecord
 from .source import Source

@@ -9,12 +9,12 @@ import jax
 import numpy as np
 import scipy.special
 
-from ...mechanics.drives import AbstractDrive
-from ...numerics.linear_algebra import triangle
+from ...mechanics.systems.drives import AbstractDrive
+from ...numerics.matrices.linear_algebra import triangle
 from ...numerics.outcomes import RESULTS, ComputationError
+from ...numerics.programs.runtime import ready, undisturbed
+from ...numerics.programs.stored_programs import stored
 from ...numerics.progress import AbstractProgress, Silent
-from ...numerics.runtime import ready, undisturbed
-from ...numerics.stored_programs import stored
 from ...records import Record, check_compatible, on_one_grid
 from ...records.joining import SAMPLING_TIME_TOLERANCE
 from ..identify import identify

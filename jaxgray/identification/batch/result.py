@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ...mechanics.drives import AbstractDrive
 from ...mechanics.model import MechanicalModel
+from ...mechanics.systems.drives import AbstractDrive
 from ...numerics.data_frames import data_frame
-from ...numerics.linear_algebra import triangle
+from ...numerics.matrices.linear_algebra import triangle
 from ...numerics.outcomes import RESULTS
 
 

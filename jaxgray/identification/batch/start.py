@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import Force
-from ...numerics.positive import NearestSolver
+from ...mechanics.systems.drives import Force
+from ...numerics.matrices.positive import NearestSolver
 from ..setup.prediction import Setting
 from ..setup.preparation import Signals
 from ..subspace.compression import RANK_TOLERANCE, factors

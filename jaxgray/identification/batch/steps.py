@@ -13,10 +13,10 @@ import jax.scipy.linalg as jsl
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from ...numerics.lifting import SHORT_BLOCK
-from ...numerics.linear_algebra import triangle_vector
-from ...numerics.response_products import response_products
-from ...numerics.sensitivity import by_blocks, from_blocks, lift_by_channel, respond_in_blocks
+from ...numerics.matrices.linear_algebra import triangle_vector
+from ...numerics.responses.lifting import SHORT_BLOCK
+from ...numerics.responses.response_products import response_products
+from ...numerics.responses.sensitivity import by_blocks, from_blocks, lift_by_channel, respond_in_blocks
 from ..refinement.cholesky import pack, unpack
 from ..refinement.conic import DECREMENT
 from ..refinement.normal_equations import FLOOR

@@ -6,7 +6,7 @@ A filter of the samples commutes with the system, so that the transfer function 
 import jax
 import numpy as np
 
-from ...numerics.filters import filtered
+from ...numerics.responses.filters import filtered
 from ..setup.preparation import Signals
 from .realizations import HigherOrder
 

@@ -11,12 +11,12 @@ import jax.scipy.linalg as jsl
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import ORDER, AbstractDrive, Force
-from ...mechanics.statespace import StateSpace, hold_matrices
-from ...numerics.lifting import free_response, respond
-from ...numerics.linear_algebra import least_squares, null_basis, triangular_factor
+from ...mechanics.systems.drives import ORDER, AbstractDrive, Force
+from ...mechanics.systems.statespace import StateSpace, hold_matrices
+from ...numerics.matrices.linear_algebra import least_squares, null_basis, triangular_factor
 from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.stored_programs import stored
+from ...numerics.programs.stored_programs import stored
+from ...numerics.responses.lifting import free_response, respond
 from ..setup.prediction import best_run
 from ..setup.preparation import Signals
 from ..subspace.filter_bank import pole

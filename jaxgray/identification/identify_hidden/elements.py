@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...mechanics.model import MechanicalModel
-from ...numerics.linear_algebra import triangle
+from ...numerics.matrices.linear_algebra import triangle
 from ..hidden import Connections, Determinacy, Element
 from ..result import Identification
 

@@ -5,8 +5,8 @@ import contextlib
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.drives import Force
 from ...mechanics.model import MechanicalModel
+from ...mechanics.systems.drives import Force
 from ...numerics.outcomes import ComputationError
 from ..hidden import (
     Connections,

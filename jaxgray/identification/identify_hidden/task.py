@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ...mechanics.drives import AbstractDrive, Force
 from ...mechanics.model import MechanicalModel
-from ...mechanics.statespace import StateSpace, sampled
+from ...mechanics.systems.drives import AbstractDrive, Force
+from ...mechanics.systems.statespace import StateSpace, sampled
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.progress import AbstractProgress
 from ...records import Record

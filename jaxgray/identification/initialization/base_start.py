@@ -9,8 +9,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ...mechanics.statespace import sampled
-from ...numerics.linear_algebra import from_symmetric_vector
+from ...mechanics.systems.statespace import sampled
+from ...numerics.matrices.linear_algebra import from_symmetric_vector
 from ...numerics.outcomes import RESULTS, ComputationError
 from ..refinement.normal_equations import Prior
 from ..setup.prediction import Setting

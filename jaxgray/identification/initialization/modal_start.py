@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ...mechanics.drives import ORDER, Force
+from ...mechanics.systems.drives import ORDER, Force
 from ...numerics.outcomes import RESULTS, ComputationError
 from ..setup.prediction import Setting
 from ..setup.preparation import Signals

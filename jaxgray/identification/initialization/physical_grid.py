@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from ...mechanics.drives import Force
+from ...mechanics.systems.drives import Force
+from ...numerics.matrices.positive import FreeSolver
 from ...numerics.outcomes import ComputationError
-from ...numerics.positive import FreeSolver
 from ..setup.prediction import Setting
 from ..subspace.grid import Candidate, drives_every_coordinate
 from ..subspace.input_matrix import InputFit

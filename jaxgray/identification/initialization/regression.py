@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import ORDER
-from ...mechanics.statespace import StateSpace, sampled
-from ...numerics.lifting import free_response, respond
-from ...numerics.linear_algebra import duplication, from_symmetric_vector
-from ...numerics.positive import ClarabelSolver, PositiveLeastSquares
+from ...mechanics.systems.drives import ORDER
+from ...mechanics.systems.statespace import StateSpace, sampled
+from ...numerics.matrices.linear_algebra import duplication, from_symmetric_vector
+from ...numerics.matrices.positive import ClarabelSolver, PositiveLeastSquares
+from ...numerics.responses.lifting import free_response, respond
 from ..setup.preparation import Signals
 from ..subspace.physical import FLOOR
 

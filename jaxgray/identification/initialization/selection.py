@@ -2,7 +2,7 @@
 
 import warnings
 
-from ...mechanics.drives import Force
+from ...mechanics.systems.drives import Force
 from ...numerics.outcomes import ComputationError
 from ...numerics.progress import AbstractProgress
 from ..setup.prediction import Setting

@@ -10,11 +10,11 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import Force
-from ...numerics.linear_algebra import project_positive
+from ...mechanics.systems.drives import Force
+from ...numerics.matrices.linear_algebra import project_positive
+from ...numerics.matrices.positive import ClarabelSolver
 from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.positive import ClarabelSolver
-from ...numerics.stored_programs import ONCE, stored
+from ...numerics.programs.stored_programs import ONCE, stored
 from ...records import Record
 from ..setup.prediction import Setting, best_run
 from ..setup.preparation import Signals, prepare

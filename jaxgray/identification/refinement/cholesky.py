@@ -11,8 +11,8 @@ import numpy as np
 import scipy.linalg as sl
 from jaxtyping import Array, Float
 
-from ...numerics.linear_algebra import from_triangle, symmetric_vector, triangle, triangle_vector
-from ...numerics.namespace import namespace
+from ...numerics.matrices.linear_algebra import from_triangle, symmetric_vector, triangle, triangle_vector
+from ...numerics.matrices.namespace import namespace
 from .conic import pseudo_inverse
 from .normal_equations import Criterion, Iterate, Normal, Products, moved
 

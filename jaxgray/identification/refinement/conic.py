@@ -10,9 +10,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...numerics.bounded import bounded
+from ...numerics.matrices.bounded import bounded
+from ...numerics.matrices.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
 from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.positive import ClarabelSolver, PositiveLeastSquares, inside_cone
 from .normal_equations import Criterion, Iterate, Normal, Products, join, moved, part
 
 DECREMENT = 1e-5

@@ -6,8 +6,8 @@ import jax.scipy.linalg as jsl
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...numerics.lifting import respond
-from ...numerics.stored_programs import ONCE, stored
+from ...numerics.programs.stored_programs import ONCE, stored
+from ...numerics.responses.lifting import respond
 from ..setup.prediction import free_run, noise_model
 from .conic import pseudo_inverse
 from .normal_equations import Criterion, Iterate, join, part, sensitivities

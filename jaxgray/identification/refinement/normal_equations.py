@@ -13,12 +13,12 @@ import numpy as np
 import scipy.linalg as sl
 from jaxtyping import Array, Float
 
-from ...mechanics.statespace import StateSpace
-from ...numerics.lifting import free_response
-from ...numerics.linear_algebra import duplication, symmetric_vector
-from ...numerics.response_products import response_products
-from ...numerics.sensitivity import by_blocks, lift_by_channel
-from ...numerics.stored_programs import ONCE, stored
+from ...mechanics.systems.statespace import StateSpace
+from ...numerics.matrices.linear_algebra import duplication, symmetric_vector
+from ...numerics.programs.stored_programs import ONCE, stored
+from ...numerics.responses.lifting import free_response
+from ...numerics.responses.response_products import response_products
+from ...numerics.responses.sensitivity import by_blocks, lift_by_channel
 from ..setup.prediction import Batch, Nuisance, Setting, prediction_errors, weighed
 from ..setup.structure import Structure
 

@@ -7,7 +7,7 @@ well for every positive m (Φ the mode shapes), D and K with it; nearly proporti
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...numerics.linear_algebra import symmetric_vector
+from ...numerics.matrices.linear_algebra import symmetric_vector
 from ..setup.structure import Structure
 from ..setup.units import Scaling
 from .conic import pseudo_inverse, sizes_of

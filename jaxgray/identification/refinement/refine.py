@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.stored_programs import stored
+from ...numerics.programs.stored_programs import stored
 from ..setup.prediction import Batch, Nuisance, Setting
 from ..setup.structure import Structure
 from .cholesky import (

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...numerics.positive import PositiveLeastSquares, ProjectedGradientSolver
+from ...numerics.matrices.positive import PositiveLeastSquares, ProjectedGradientSolver
 from ..setup.prediction import Batch, Nuisance, Setting
 from ..setup.structure import MASS_FLOOR, Structure
 from .normal_equations import Criterion, join, part

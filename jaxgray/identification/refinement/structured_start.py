@@ -10,9 +10,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
-from ...numerics.bounded import bounded
+from ...numerics.matrices.bounded import bounded
+from ...numerics.matrices.positive import ClarabelSolver
 from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.positive import ClarabelSolver
 from ..setup.structure import Absent, AbstractAssembly, Full, Structure
 from .conic import block_units, pseudo_inverse, step_inside
 from .normal_equations import join, part

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...numerics.linear_algebra import from_triangle, triangle, triangle_vector
-from ...numerics.stored_programs import ONCE, stored
+from ...numerics.matrices.linear_algebra import from_triangle, triangle, triangle_vector
+from ...numerics.programs.stored_programs import ONCE, stored
 from ..setup.structure import Structure
 from ..setup.units import Scaling
 from .conic import pseudo_inverse

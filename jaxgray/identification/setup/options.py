@@ -6,9 +6,9 @@ import re
 import jax
 import numpy as np
 
-from ...mechanics.drives import AbstractDrive, BaseAcceleration, BaseDisplacement, Force
 from ...mechanics.model import hidden_names
-from ...numerics.linear_algebra import triangle
+from ...mechanics.systems.drives import AbstractDrive, BaseAcceleration, BaseDisplacement, Force
+from ...numerics.matrices.linear_algebra import triangle
 from ...records import Record
 from .structure import Diagonal, Full, Structure
 from .units import Scaling

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...numerics.lifting import BLOCK
+from ...numerics.responses.lifting import BLOCK
 
 CHUNK_BLOCKS = 32
 """Blocks filtered at a time; the chunk's rows stay in cache."""

@@ -7,10 +7,10 @@ import jax.scipy.linalg as jsl
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import AbstractDrive
-from ...mechanics.statespace import StateSpace, sampled
-from ...numerics.lifting import SHORT_BLOCK, free_response, respond
-from ...numerics.riccati import kalman_gain
+from ...mechanics.systems.drives import AbstractDrive
+from ...mechanics.systems.statespace import StateSpace, sampled
+from ...numerics.matrices.riccati import kalman_gain
+from ...numerics.responses.lifting import SHORT_BLOCK, free_response, respond
 from .preparation import Signals
 
 RIDGE = 1e-11

@@ -10,8 +10,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...numerics.linear_algebra import project_positive
-from ...numerics.namespace import namespace
+from ...numerics.matrices.linear_algebra import project_positive
+from ...numerics.matrices.namespace import namespace
 
 SLOWEST = 1e-3
 """Rate [rad/sample] that stands for a matrix that is zero: a start needs a size to move from."""

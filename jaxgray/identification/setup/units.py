@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import ORDER
+from ...mechanics.systems.drives import ORDER
 
 
 class Scaling(eqx.Module):

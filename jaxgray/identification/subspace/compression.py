@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...numerics.lifting import BLOCK
+from ...numerics.responses.lifting import BLOCK
 from ..setup.padding import CHUNK_BLOCKS
 from .correlation import Moments, add_samples, gram, no_moments
 from .filter_bank import cascade, lifted_cascade

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...numerics.lifting import LiftedSystem, lift
-from ...numerics.linear_algebra import orthonormal_basis
-from ...numerics.namespace import namespace
+from ...numerics.matrices.linear_algebra import orthonormal_basis
+from ...numerics.matrices.namespace import namespace
+from ...numerics.responses.lifting import LiftedSystem, lift
 
 
 def pole(time_constant: Float[Array, ""], sampling_time: float) -> Float[Array, ""]:

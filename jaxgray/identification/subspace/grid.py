@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import AbstractDrive, Force
-from ...mechanics.statespace import StateSpace, sampled
-from ...numerics.namespace import namespace
-from ...numerics.stored_programs import ONCE, stored
+from ...mechanics.systems.drives import AbstractDrive, Force
+from ...mechanics.systems.statespace import StateSpace, sampled
+from ...numerics.matrices.namespace import namespace
+from ...numerics.programs.stored_programs import ONCE, stored
 from ...records import Record
 from ..setup.prediction import best_run
 from ..setup.preparation import Signals

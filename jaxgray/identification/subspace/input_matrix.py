@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import ORDER
-from ...mechanics.statespace import hold_matrices
-from ...numerics.lifting import free_response, respond
-from ...numerics.linear_algebra import triangular_factor
+from ...mechanics.systems.drives import ORDER
+from ...mechanics.systems.statespace import hold_matrices
+from ...numerics.matrices.linear_algebra import triangular_factor
+from ...numerics.responses.lifting import free_response, respond
 from .projection import Data
 from .realization import Realization
 

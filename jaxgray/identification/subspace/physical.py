@@ -6,9 +6,9 @@ Everything is in scaled coordinates with time counted in samples; `Scaling` lead
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from ...numerics.linear_algebra import duplication, from_symmetric_vector, symmetric_vector
-from ...numerics.namespace import namespace
-from ...numerics.positive import AbstractPositiveSolver, PositiveLeastSquares
+from ...numerics.matrices.linear_algebra import duplication, from_symmetric_vector, symmetric_vector
+from ...numerics.matrices.namespace import namespace
+from ...numerics.matrices.positive import AbstractPositiveSolver, PositiveLeastSquares
 from .input_matrix import InputFit
 from .realization import Realization
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 from jaxtyping import Array, Bool, Float
 
-from ...numerics.linear_algebra import dominant_subspace, inverse_root, orthonormal_basis
+from ...numerics.matrices.linear_algebra import dominant_subspace, inverse_root, orthonormal_basis
 from .filter_bank import lambda_powers, lambda_shift, past_rows
 
 

@@ -6,9 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...mechanics.drives import ORDER
-from ...numerics.linear_algebra import least_squares
-from ...numerics.matrix_logarithm import matrix_logarithm
+from ...mechanics.systems.drives import ORDER
+from ...numerics.matrices.linear_algebra import least_squares
+from ...numerics.matrices.matrix_logarithm import matrix_logarithm
 from .projection import Projections
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Complex, Float
 
-from ...mechanics.statespace import StateSpace
+from ...mechanics.systems.statespace import StateSpace
 from .colour import PIECE, smooth_length
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ...numerics.filters import filtered
+from ...numerics.responses.filters import filtered
 
 LEAST = 1e-14
 """Smallest ω² and damping rate of a mode, time in samples."""

@@ -3,8 +3,8 @@
 import numpy as np
 import scipy.special
 
-from ...numerics.filters import filtered
 from ...numerics.outcomes import RESULTS, ComputationError
+from ...numerics.responses.filters import filtered
 from ..setup.preparation import Signals
 from .residuals import AR_ORDER, ar_coefficients
 

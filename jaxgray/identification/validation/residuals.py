@@ -7,7 +7,7 @@ import scipy.linalg
 import scipy.special
 from jaxtyping import Float
 
-from ...numerics.filters import correlation, filtered
+from ...numerics.responses.filters import correlation, filtered
 
 LAGS = 25
 AR_ORDER = 10

@@ -6,8 +6,8 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float
 
-from ...numerics.filters import filtered
 from ...numerics.outcomes import RESULTS, ComputationError
+from ...numerics.responses.filters import filtered
 from .free_modes import CELLS, RivalFit, Whitened, at_poles, fit_rival, further_modes, poles_of
 
 SIGNIFICANCE = 1e-3

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...numerics.lifting import respond
+from ...numerics.responses.lifting import respond
 from .base import AbstractForceEffect, AbstractInputEffect, Parameter
 from .friction import SLOWEST
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ...numerics.band_limited import band_limited
+from ...numerics.responses.band_limited import band_limited
 from .base import AbstractInputEffect, Parameter
 
 

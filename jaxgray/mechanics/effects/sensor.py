@@ -7,7 +7,7 @@ first value.
 import jax.numpy as jnp
 import numpy as np
 
-from ...numerics.lifting import respond
+from ...numerics.responses.lifting import respond
 from .actuator import SAMPLES, lag_step
 from .base import AbstractOutputEffect, Parameter
 from .structure import at_an_end, step_at

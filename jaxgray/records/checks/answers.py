@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxgray.numerics.filters import filtered
+from jaxgray.numerics.responses.filters import filtered
 
 ORDERS = (20, 40)
 """Orders tried: the first serves where the second is hardly better."""

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from jaxgray.numerics.filters import filtered
+from jaxgray.numerics.responses.filters import filtered
 from jaxgray.records.checks.answers import ORDERS, Answer, answer, fitted, smallest
 from jaxgray.records.checks.modes import DERIVATIVE
 

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from ...mechanics.statespace import check_hold
+from ...mechanics.systems.statespace import check_hold
 from ...numerics.whole_files import write_whole
 from ...records.channels import as_seconds
-from ..export import model_of, save
+from ..documents.export import model_of, save
 from .arrays import linear_part
 from .c_header import c_header
 from .matlab import mat_file

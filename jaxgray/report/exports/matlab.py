@@ -7,7 +7,7 @@ from scipy.io import savemat
 
 from ...mechanics.linear import linear_plant
 from ...mechanics.model import MechanicalModel
-from ..export import model_document
+from ..documents.export import model_document
 from .arrays import arrays_of
 
 TEXTS = ("measured", "input_names", "output_names", "input_units", "output_units")

@@ -12,10 +12,10 @@ from xml.sax.saxutils import quoteattr as quoted
 import numpy as np
 from jaxtyping import Float
 
-from ...mechanics.drives import Force
-from ...mechanics.extended import arm_of
 from ...mechanics.linear import linear_plant
 from ...mechanics.model import MechanicalModel
+from ...mechanics.runs.extended import arm_of
+from ...mechanics.systems.drives import Force
 from .arrays import coordinate_names
 
 ROUNDING = 1e-10

@@ -1,6 +1,6 @@
 """A model as state space of SciPy and of python-control."""
 
-from ...mechanics.statespace import check_hold
+from ...mechanics.systems.statespace import check_hold
 from ...records.channels import as_seconds
 from .arrays import arrays_of
 

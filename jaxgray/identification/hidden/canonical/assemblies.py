@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ....numerics.namespace import namespace
+from ....numerics.matrices.namespace import namespace
 from ...setup.structure import AbstractAssembly, Full, Structure
 
 

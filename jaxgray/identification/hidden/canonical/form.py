@@ -13,8 +13,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ....numerics.linear_algebra import from_triangle, triangle_vector
-from ....numerics.namespace import namespace
+from ....numerics.matrices.linear_algebra import from_triangle, triangle_vector
+from ....numerics.matrices.namespace import namespace
 
 
 def canonical_count(outputs: int, hidden: int) -> int:

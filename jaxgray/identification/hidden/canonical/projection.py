@@ -7,9 +7,9 @@ coordinate; with more, the canonical form of a physical system may have an indef
 import numpy as np
 from jaxtyping import Float
 
-from ....numerics.linear_algebra import duplication, from_symmetric_vector, symmetric_vector
+from ....numerics.matrices.linear_algebra import duplication, from_symmetric_vector, symmetric_vector
+from ....numerics.matrices.positive import ClarabelSolver, PositiveLeastSquares
 from ....numerics.outcomes import RESULTS, ComputationError
-from ....numerics.positive import ClarabelSolver, PositiveLeastSquares
 from .form import Canonical, canonical_gauge
 
 LEAST_MASS = 1e-3

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from ....numerics.linear_algebra import null_basis
+from ....numerics.matrices.linear_algebra import null_basis
 from .form import Canonical
 
 SIMPLE = 1e-12

@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ....numerics.namespace import namespace
+from ....numerics.matrices.namespace import namespace
 from ...setup.structure import NAMES, AbstractAssembly, Diagonal, Structure
 
 GROUND = "ground"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from ....mechanics.drives import ORDER, AbstractDrive, BaseAcceleration, Force
+from ....mechanics.systems.drives import ORDER, AbstractDrive, BaseAcceleration, Force
 from ...refinement.normal_equations import part
 from ...setup.prediction import Setting
 from ...setup.structure import Structure
