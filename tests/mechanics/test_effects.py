@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import lsim
+from scipy.interpolate import CubicHermiteSpline
 
 from jaxgray.mechanics.effects import (
     CATALOGUE,
@@ -458,11 +458,31 @@ def test_sensor_delay_of_a_slow_signal(steps):
 
 
 @pytest.mark.parametrize("lag", [0.003, 0.5, 4.0, 200.0])
-def test_sensor_lag_is_exact_for_straight_pieces(lag):
-    tau = lag * TIME
-    got = by_id("sensor_lag").apply(jnp.array([tau]), jnp.asarray(U), jnp.zeros(SAMPLES), TIME)
-    _, expected, _ = lsim(([-1.0 / tau], [1.0 / tau], [1.0], [0.0]), U, T, X0=U[0])
-    np.testing.assert_allclose(got, expected, atol=1e-9)
+def test_sensor_lag_is_exact_for_cubic_pieces(lag):
+    got = by_id("sensor_lag").apply(jnp.array([lag * TIME]), jnp.asarray(U), jnp.zeros(SAMPLES), TIME)
+    slopes = np.gradient(U)
+    # Before the record the output has its first value.
+    slopes[0] /= 2.0
+    pieces = CubicHermiteSpline(np.arange(SAMPLES), U, slopes)
+    expected = U[:1].tolist()
+    for k in range(60):
+        # The weight is exp(−t) over t = 0 to 1/lag back from the next sample.
+        nodes, weights = np.polynomial.laguerre.laggauss(40) if lag < 0.02 else np.polynomial.legendre.leggauss(40)
+        if lag < 0.02:
+            new = weights @ pieces(k + 1 - lag * nodes)
+        else:
+            s = 0.5 * (1.0 + nodes)
+            new = 0.5 * weights @ (np.exp(-(1.0 - s) / lag) / lag * pieces(k + s))
+        expected.append(np.exp(-1.0 / lag) * expected[-1] + new)
+    np.testing.assert_allclose(got[:61], expected, atol=1e-9)
+
+
+def test_sensor_lag_of_a_smooth_signal():
+    tau, w = 2.0 * TIME, 8.0
+    y = np.sin(w * T)
+    settled = (np.sin(w * T) - w * tau * np.cos(w * T) + w * tau * np.exp(-T / tau)) / (1 + (w * tau) ** 2)
+    got = by_id("sensor_lag").apply(jnp.array([tau]), jnp.asarray(y), jnp.zeros(SAMPLES), TIME)
+    assert np.max(np.abs(got - settled)[20:]) < 0.02 * (w * TIME) ** 2 / 12
 
 
 def test_clock_scale_stretches_time():

@@ -4,6 +4,8 @@ In the units of these parameters "force" stands for the unit of the input. Befor
 first value.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,6 +72,20 @@ def lag_step(lag):
     """Recursion x⁺ = A x + B (a, b) over one sample of τẋ + x = a + b s, s from 0 to 1: (A, B)."""
     E = decay(lag)
     return E[None, None], jnp.stack([1.0 - E, 1.0 - lag * (1.0 - E)])[None]
+
+
+def lag_moments(lag, powers: int):
+    """What a lag makes of s^k, k below `powers`, over one sample: ∫₀¹ exp(−(1 − s)/lag) s^k ds/lag."""
+    # For a slow lag the recursion m_k = 1 − k·lag·m_{k−1} loses digits, and a series has all of them.
+    slow = lag > 10.0
+    rate, short = 1.0 / jnp.where(slow, lag, 10.0), jnp.where(slow, 0.0, lag)
+    fast, series = [1.0 - decay(short)], []
+    for k in range(powers):
+        if k:
+            fast.append(1.0 - k * short * fast[-1])
+        terms = [(-1.0) ** j * math.factorial(k) / math.factorial(j + k + 1) * rate ** (j + 1) for j in range(10)]
+        series.append(sum(terms))
+    return jnp.where(slow, jnp.stack(series), jnp.stack(fast))
 
 
 def _moments(lag):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...numerics.responses.lifting import respond
-from .actuator import SAMPLES, lag_step
+from .actuator import SAMPLES, decay, lag_moments
 from .base import AbstractOutputEffect, Parameter
 from .structure import at_an_end, step_at
 
@@ -22,14 +22,20 @@ def _times(y, time):
 
 def interpolated(y, position):
     """A series at real sample numbers, by cubic Hermite (Catmull-Rom) pieces, constant beyond its ends."""
-    samples = y.shape[0]
-    position = jnp.clip(position, -2.0, samples + 1.0)
+    position = jnp.clip(position, -2.0, y.shape[0] + 1.0)
     whole = jnp.floor(position)
     s = position - whole
-    k = whole.astype(int)
-    y0, y1, y2, y3 = (y[jnp.clip(k + shift, 0, samples - 1)] for shift in (-1, 0, 1, 2))
-    slope, bend, twist = y2 - y0, 2.0 * y0 - 5.0 * y1 + 4.0 * y2 - y3, 3.0 * (y1 - y2) + y3 - y0
-    return y1 + 0.5 * s * (slope + s * (bend + s * twist))
+    a, b, c, d = _cubics(y, whole.astype(int))
+    return a + s * (b + s * (c + s * d))
+
+
+def _cubics(y, k):
+    """Coefficients of the powers of s = 0 to 1 from sample k to the next, by cubic Hermite (Catmull-Rom) pieces, the
+    last one going on as it bends."""
+    last = y.shape[0] - 1
+    y0, y1, y2, y3 = (y[jnp.clip(k + shift, 0, last)] for shift in (-1, 0, 1, 2))
+    y3 = jnp.where(k == last - 1, y0 - 3.0 * y1 + 3.0 * y2, y3)
+    return y1, 0.5 * (y2 - y0), y0 - 2.5 * y1 + 2.0 * y2 - 0.5 * y3, 0.5 * (3.0 * (y1 - y2) + y3 - y0)
 
 
 class SensorOffset(AbstractOutputEffect):
@@ -93,7 +99,7 @@ class SensorDelay(AbstractOutputEffect):
 
 
 class SensorLag(AbstractOutputEffect):
-    """First-order filter of the sensor or its amplifier, exact for an output straight between samples."""
+    """First-order filter of the sensor or its amplifier, exact for an output of cubic pieces between samples."""
 
     id = "sensor_lag"
     family = "sensor"
@@ -109,10 +115,11 @@ class SensorLag(AbstractOutputEffect):
         return [np.array([count * scales.sampling_time]) for count in SAMPLES]
 
     def apply(self, p, y, source, time):
-        A, B = lag_step(p[0] / time)
-        rise = jnp.concatenate([jnp.diff(y), jnp.zeros_like(y[:1])])
-        one, none = jnp.ones((1, 1), dtype=y.dtype), jnp.zeros((1, 2), dtype=y.dtype)
-        return respond(A, B, one, none, jnp.stack([y, rise], axis=1), y[:1])[:, 0]
+        lag = jnp.asarray(p[0] / time, dtype=y.dtype)
+        pieces = jnp.stack(_cubics(y, jnp.arange(y.shape[0])), axis=1)
+        B = lag_moments(lag, pieces.shape[1])[None]
+        one, none = jnp.ones((1, 1), dtype=y.dtype), jnp.zeros_like(B)
+        return respond(decay(lag)[None, None], B, one, none, pieces, y[:1])[:, 0]
 
 
 class SensorCrosstalk(AbstractOutputEffect):
