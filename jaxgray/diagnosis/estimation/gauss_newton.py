@@ -34,6 +34,11 @@ BENT = 0.75
 that fails costs a simulation and a shorter one follows."""
 
 
+NOTHING = 1e-15
+"""Curvature, relative to the largest, that is rounding: short of it a direction is badly determined, and says so by its
+error bars."""
+
+
 @dataclass(frozen=True, eq=False)
 class Refit:
     """A candidate after its refit, and the evidence.
@@ -201,12 +206,12 @@ def refit(
     variance = cost / max(count - layout.size, 1)
     moving = ~masks[2]
     covariance = np.zeros_like(H)
-    covariance[np.ix_(moving, moving)] = pseudo_inverse(H[np.ix_(moving, moving)]) * variance
+    covariance[np.ix_(moving, moving)] = pseudo_inverse(H[np.ix_(moving, moving)], NOTHING) * variance
     loose = moving.copy()
-    loose[moving] = undetermined(H[np.ix_(moving, moving)])
+    loose[moving] = undetermined(H[np.ix_(moving, moving)], NOTHING)
     laws = moving & (np.arange(layout.size) >= layout.first)
     alone = laws.copy()
-    alone[laws] = undetermined(H[np.ix_(laws, laws)])
+    alone[laws] = undetermined(H[np.ix_(laws, laws)], NOTHING)
     return Refit(candidate, residuals, jacobians, covariance, cost, count, steps, converged, started, loose, alone)
 
 
