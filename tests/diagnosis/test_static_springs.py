@@ -42,7 +42,12 @@ def recorded(law, kind, *words, samples=2000):
 
 
 LATER = {("ramps", "bilinear_stiffness"), ("ramps", "dead_zone_stiffness"), ("steps", "none"), ("steps", "end_stop")}
-LATER |= {("ramps", "cubic_stiffness"), ("ramps", "end_stop"), ("steps", "bilinear_stiffness")}
+LATER |= {
+    ("steps", "dead_zone_stiffness"),
+    ("ramps", "cubic_stiffness"),
+    ("ramps", "end_stop"),
+    ("steps", "bilinear_stiffness"),
+}
 CASES = [
     pytest.param(kind, law, marks=[pytest.mark.slow] if (kind, law) in LATER else [])
     for kind in ("ramps", "steps")

@@ -43,7 +43,7 @@ def record(rng, samples=2000, time=0.005, weights=WEIGHTS, radii=RADII):
     return jaxgray.Record(u, y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), time)
 
 
-@pytest.mark.parametrize("seed", [0, 5, 10])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 10))])
 def test_every_threshold_of_play_is_found(seed):
     rng = np.random.default_rng(seed)
     diagnosis = jaxgray.diagnose(record(rng), validation=record(rng), only=["play_hysteresis", "constant_force"])

@@ -54,6 +54,7 @@ def test_the_simulated_bench_agrees_with_its_frequency_response_and_the_truth(ca
     assert "current to motor_angle" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not BENCH.exists(), reason=f"measured data are not part of the project: no {BENCH.name}")
 def test_a_measured_bench_agrees_with_its_frequency_response(capsys):
     rows = example("measured_record").main([str(BENCH)])["rows"]

@@ -45,7 +45,7 @@ def truth_fit(u, y):
     "base, structure",
     [
         (True, ("diagonal-mass", "chain")),
-        (False, None),
+        pytest.param(False, None, marks=pytest.mark.slow),
         pytest.param(True, None, marks=pytest.mark.slow),
         pytest.param(False, ("diagonal-mass", "chain"), marks=pytest.mark.slow),
     ],
