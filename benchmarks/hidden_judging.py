@@ -177,7 +177,9 @@ def judged(rng, case, diagnosis, *, fresh=10):
             row["deviations"] |= {f"{e.id}.{name}": d for name, d in deviations(f, e).items()}
     if row["name_and_place"] and not extra:
         row["matrices"] = matrix_deviations(case, diagnosis)
-    if row["name_and_place"] and not extra and fresh and diagnosis.gain is not None:
+    # A gain on the data of the fit says nothing of other records: the phase of a disturbance is another one there.
+    held_out = diagnosis.gain is not None and diagnosis.gain.held_out
+    if row["name_and_place"] and not extra and fresh and held_out:
         gain = true_gain(rng, case, diagnosis, fresh)
         if gain is not None:
             low, high = diagnosis.gain.ci95
