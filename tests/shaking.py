@@ -7,8 +7,8 @@ the same record see the same numbers. A test that passes only without hangs on t
 
 `XLA_FLAGS=--xla_cpu_max_isa=SSE4_2` (AVX, AVX2) in the environment compiles for older processors: `conftest` keeps the
 flags of the environment. `taskset -c 0` before the command leaves one core, on which nothing runs side by side. (Not
-`NPROC=1`: batched decompositions wait for ever on a pool of one thread, see `numerics/backend.py`.) All of these can be
-combined.
+`NPROC=1`: batched decompositions wait for ever on a pool of one thread, see `numerics/programs/backend.py`.) All of
+these can be combined.
 """
 
 import dataclasses

@@ -256,7 +256,8 @@ def _in_chunks(records, scalings, usable, drive, options, devices, progress) -> 
         stacked = jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *dynamic)
         return program(stacked)
 
-    # One after the other: two programs with batches of decompositions at once may wait for ever (`numerics.backend`).
+    # One after the other: two programs with batches of decompositions at once may wait for ever
+    # (`numerics.programs.backend`).
     parts = []
     for first in range(0, len(usable), size):
         progress.stage("identifying", fraction=first / len(usable))

@@ -171,7 +171,7 @@ def candidates(
 
     Two compiled programs serve every τ, the second started when the first has ended. The loop over τ stays on the host,
     one after the other: a traced loop gains nothing, and two programs with batches of small decompositions at once can
-    wait for each other's threads without end (see `numerics.backend`).
+    wait for each other's threads without end (see `numerics.programs.backend`).
     """
 
     def at(k):
