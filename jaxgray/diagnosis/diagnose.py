@@ -512,11 +512,12 @@ def _misfits(test: StructureTest, state: SearchState) -> bool:
 
 def _experiment(context: SearchContext, state: SearchState, record: Record, floor):
     """The experiment that separates the first class that the record leaves open and some input can close."""
-    for accepted in state.accepted:
+    progress = context.progress.unlimited
+    for accepted in (one for one in state.accepted if one.rivals):
         members = [state.fit.candidate, *(rival.fit.candidate for rival in accepted.rivals)]
         ids = tuple(attempt.name[0] for attempt in (accepted.attempt, *accepted.rivals))
-        progress = context.progress.unlimited
-        if accepted.rivals and (found := next_experiment(context, members, ids, record, floor, progress=progress)):
+        found = next_experiment(context, members, ids, record, floor, progress=progress)
+        if found is not None:
             return found
     return None
 

@@ -25,11 +25,11 @@ class Curve:
         return self.run(candidate, data), data.u[:, :, None]
 
 
-def proposed(c, peak=1.0):
+def proposed(c):
     """For two members that differ by a cube of c, where the record moves within a tenth of its peak but once."""
     rng = generator("experiment")
-    u = 0.1 * peak * rng.uniform(-1, 1, (SAMPLES, 1))
-    u[0] = peak
+    u = 0.1 * rng.uniform(-1, 1, (SAMPLES, 1))
+    u[0] = 1.0
     record = Record(u, u, 0.01)
     data = Data.of(record)
     members = [Candidate(np.array([value]), (np.zeros(2),), ()) for value in (0.0, c)]

@@ -68,14 +68,12 @@ def decay(lag):
     return jnp.where(fast, 0.0, jnp.exp(-1.0 / jnp.where(fast, 1.0, lag)))
 
 
-def lag_step(lag):
-    """Recursion x⁺ = A x + B (a, b) over one sample of τẋ + x = a + b s, s from 0 to 1: (A, B)."""
-    E = decay(lag)
-    return E[None, None], jnp.stack([1.0 - E, 1.0 - lag * (1.0 - E)])[None]
+def lag_step(lag, powers: int = 2):
+    """Recursion x⁺ = A x + B (a, b, …) over one sample of τẋ + x = a + b s + …, s from 0 to 1: (A, B).
 
-
-def lag_moments(lag, powers: int):
-    """What a lag makes of s^k, k below `powers`, over one sample: ∫₀¹ exp(−(1 − s)/lag) s^k ds/lag."""
+    **Arguments:** `lag`: τ in samples; `powers` of s, the zeroth among them: as many columns has B, which are
+    ∫₀¹ exp(−(1 − s)/lag) s^k ds/lag.
+    """
     # For a slow lag the recursion m_k = 1 − k·lag·m_{k−1} loses digits, and a series has all of them.
     slow = lag > 10.0
     rate, short = 1.0 / jnp.where(slow, lag, 10.0), jnp.where(slow, 0.0, lag)
@@ -85,7 +83,7 @@ def lag_moments(lag, powers: int):
             fast.append(1.0 - k * short * fast[-1])
         terms = [(-1.0) ** j * math.factorial(k) / math.factorial(j + k + 1) * rate ** (j + 1) for j in range(10)]
         series.append(sum(terms))
-    return jnp.where(slow, jnp.stack(series), jnp.stack(fast))
+    return decay(lag)[None, None], jnp.where(slow, jnp.stack(series), jnp.stack(fast))[None]
 
 
 def _moments(lag):

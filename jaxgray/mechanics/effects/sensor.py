@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...numerics.responses.lifting import respond
-from .actuator import SAMPLES, decay, lag_moments
+from .actuator import SAMPLES, lag_step
 from .base import AbstractOutputEffect, Parameter
 from .structure import at_an_end, step_at
 
@@ -115,11 +115,9 @@ class SensorLag(AbstractOutputEffect):
         return [np.array([count * scales.sampling_time]) for count in SAMPLES]
 
     def apply(self, p, y, source, time):
-        lag = jnp.asarray(p[0] / time, dtype=y.dtype)
         pieces = jnp.stack(_cubics(y, jnp.arange(y.shape[0])), axis=1)
-        B = lag_moments(lag, pieces.shape[1])[None]
-        one, none = jnp.ones((1, 1), dtype=y.dtype), jnp.zeros_like(B)
-        return respond(decay(lag)[None, None], B, one, none, pieces, y[:1])[:, 0]
+        A, B = lag_step(jnp.asarray(p[0] / time, dtype=y.dtype), pieces.shape[1])
+        return respond(A, B, jnp.ones_like(A), jnp.zeros_like(B), pieces, y[:1])[:, 0]
 
 
 class SensorCrosstalk(AbstractOutputEffect):
