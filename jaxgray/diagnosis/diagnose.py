@@ -450,10 +450,7 @@ def _assembled(
     test = None if identification is None else identification.structure_test
     if not state.accepted and test is not None and _misfits(test, state):
         unexplained = True
-    sound = [run for run, record in zip(state.baseline_runs, held) if not still_spoilt(record)]
-    if not state.accepted and state.screening.noise_model.ratio == 0.0 and sound:
-        # What the data of the fit pass off as slow noise, another record shows.
-        unexplained |= min(overall(run.rmse, floor) for run in sound) >= settings.MIN_HELD_OUT_EXCESS
+    unexplained = unexplained or _fails_elsewhere(state, records, held, floor)
     depends = _depends_on(state) if unexplained else ()
     if unexplained and not mends_model:
         worst = int(np.argmax(residual_rms(state.stage.e, data) / floor))
@@ -508,6 +505,17 @@ def _misfits(test: StructureTest, state: SearchState) -> bool:
     elif np.any(np.diag(noise_model.lower) < settings.WHITE_INNOVATIONS * noise_model.level):
         share = settings.MISFIT_SHARE
     return test.p_value < settings.MISFIT_PROBABILITY and test.explained_percent > share
+
+
+def _fails_elsewhere(state: SearchState, records, held, floor) -> bool:
+    """Whether all held-out records show more than noise: what the data of the fit pass off as slow noise or follow by
+    laws of their own. Not where a law is tied to the clock of the fit or had to be extrapolated."""
+    if state.screening.noise_model.ratio > 0.0:
+        return False
+    if state.accepted and (not all(one.gain.held_out for one in state.accepted) or beyond_the_fit(records, held)):
+        return False
+    sound = [run for run, record in zip(state.runs, held) if not still_spoilt(record)]
+    return bool(sound) and min(overall(run.rmse, floor) for run in sound) >= settings.MIN_HELD_OUT_EXCESS
 
 
 def _experiment(context: SearchContext, state: SearchState, record: Record, floor):

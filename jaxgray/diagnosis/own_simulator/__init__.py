@@ -4,12 +4,12 @@
     linearized    the linear plant that it is for small forces, and forces that give a motion
     numbers       its numbers as what a refit moves beside the laws
     tracking      the force that brings it to the record, and the force that every number takes
-    problem       records and simulator together: runs, slopes, data for the linear plant
+    problem       records and simulator together: runs and their parts, data for the linear plant
     search        numbers first, then laws, then both in the simulator itself
+    growing_parts numbers by its own runs, over parts of the records that grow
     settling      laws and numbers where they stand still in the simulator
     contenders    the law that explains most there
-    gains         what one run of it gains over another
-    conclusions   what is said of it
+    conclusions   what is said of it, and what one run gains over another
 
 A law is looked for in a linear plant P that answers as the simulator does to small forces. Its input is not the
 record's: it is what gives the motion of the simulator, and less by the force that the simulator lacks. So its run is

@@ -13,12 +13,12 @@ from ..data_checks.record_findings import noise_findings
 from ..estimation.context import SearchContext
 from ..findings import Curves, Estimate, Finding, Gain, Member, ParameterShift
 from ..model.free_run import FreeRun, overall, rms_of
+from ..model.held_out_gain import gain_of
 from ..noise.floor import ADOPTED, independent_floor
 from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..search.state import SearchState
-from .gains import Outputs, Parts, gain_between, nearer, parts_of
-from .problem import Problem, Runs
+from .problem import Outputs, Parts, Problem, Runs, nearer, parts_of
 from .settling import Settled, with_numbers
 
 UNSETTLED = "The laws and numbers still moved in the last run of the simulator"
@@ -239,3 +239,24 @@ def _curves(problem: Problem, before: tuple[np.ndarray, ...], after: tuple[np.nd
                 record = span.record[part]
                 made.append(Curves(record.time, record.y, old[part], new[part], held_out))
     return tuple(made)
+
+
+def gain_between(
+    problem: Problem,
+    context: SearchContext,
+    before: Outputs,
+    after: Outputs,
+    baseline: Outputs,
+    floor: np.ndarray | None = None,
+    local: bool = False,
+) -> Gain:
+    """Gain from some runs to others, on held-out data where there are such.
+
+    **Arguments:** `problem`; `context`; the runs, and those with the numbers as they were given; `floor`: noise per
+    output, default what is left after; `local`: of a law that no other record shows.
+    """
+    every = [parts_of(problem, y) for y in (before, after, baseline)]
+    held_out = bool(every[0][1]) and not local
+    floor = rms_of(every[1][0]) if floor is None else floor
+    runs, seen = (tuple(parts[k] for parts in every) for k in (held_out, False))
+    return gain_of(*runs, floor, problem.record.output_names, held_out=held_out, rng=context.rng, seen=seen)

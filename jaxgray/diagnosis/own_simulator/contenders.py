@@ -18,8 +18,7 @@ from ..noise.effective_samples import independent_share
 from ..screening.score_test import Score
 from ..search.confusable import alike
 from ..search.state import Accepted, SearchState
-from .gains import parts_of
-from .problem import Linear, Problem
+from .problem import Linear, Problem, parts_of
 from .settling import NEARER, Settled, left_by, settle
 
 MOST = 4

@@ -1,4 +1,5 @@
-"""Records and a simulator together: runs of all records, forces by the numbers, and data for the linear plant."""
+"""Records and a simulator together: runs of all records and of their parts, forces by the numbers, and data for the
+linear plant."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from ...numerics.matrices.bounded import bounded
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...records import Record
 from ..model.candidate import Candidate, Data
-from ..model.free_run import FreeRun
+from ..model.free_run import FreeRun, rms_of
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time
@@ -37,6 +38,13 @@ RUNS_AWAY = "the linear plant that stands for it along its run runs away"
 
 RUN_AWAY = 1e3
 """Motion relative to that of the record beyond which a run counts as none."""
+
+
+Outputs = tuple[np.ndarray, ...]
+"""What the sensors show of runs of all spans."""
+
+Parts = tuple[list[FreeRun], list[FreeRun]]
+"""Runs over the data of the fit, and over those held out."""
 
 
 @dataclass(frozen=True)
@@ -324,3 +332,20 @@ def sized(simulator: Simulator, call: Call, y: np.ndarray) -> np.ndarray:
                 units[k] = size
                 break
     return units
+
+
+def parts_of(problem: Problem, y: Outputs) -> Parts:
+    """Runs of the whole records as runs of their parts."""
+    pairs = list(zip(problem.spans, y))
+    fit = [span.run(one, span.fit) for span, one in pairs if span.fit is not None]
+    return fit, [span.run(one, span.held) for span, one in pairs if span.held is not None]
+
+
+def nearer(problem: Problem, one: Outputs, other: Outputs) -> Outputs:
+    """The runs that leave less of held-out data, or of those of the fit where there are no others."""
+
+    def left(y: Outputs) -> float:
+        fit, held = parts_of(problem, y)
+        return float(np.sum(np.log(rms_of(held or fit))))
+
+    return one if left(one) <= left(other) else other

@@ -1,6 +1,7 @@
 """The diagnosis of a user's simulator: numbers first, then laws in its linear plant, then both in the simulator."""
 
 import contextlib
+import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,12 +26,12 @@ from ..result import Diagnosis
 from ..search.forward import select_forward
 from ..search.state import SearchState, is_local
 from .calls import Call, Simulator, checked_function, checked_numbers
-from .conclusions import diagnosis_of, is_white
+from .conclusions import diagnosis_of, gain_between, is_white
 from .contenders import chosen, offered
-from .gains import gain_between, nearer, parts_of
+from .growing_parts import Grown, grown
 from .linearized import Linearized, linearized
 from .numbers import NumbersSimulator
-from .problem import Linear, Problem, Runs, Span, sized
+from .problem import Linear, Problem, Runs, Span, nearer, parts_of, sized
 from .settling import Settled, left_by, refit_of_numbers, settle
 from .tracking import near_until
 
@@ -158,17 +159,41 @@ def _begin(
     **Raises:** `ComputationError` where the simulator fails with the numbers as they were given.
     """
 
-    def begun(about: Runs, entries: np.ndarray) -> _Begun:
+    def begun(about: Runs, entries: np.ndarray, by_runs: Grown | None = None) -> _Begun:
         problem.idle = problem.idle_by(about.by_number)
         linear = problem.linear_simulator(entries, steps_of(problem.linear_model(), problem.record.sampling_time))
         wholes = problem.linear_data(linear, about).near(about.y)
         progress.unlimited.stage("fitting the simulator's numbers")
         context = context_of(linear, wholes)
         candidate = Candidate(entries, wholes.states[: len(context.data)])
-        return _Begun(problem.plant, problem.idle, linear, wholes, _numbers_alone(problem, context, candidate, wholes))
+        fitted = _numbers_alone(problem, context, candidate, wholes, by_runs)
+        return _Begun(problem.plant, problem.idle, linear, wholes, fitted)
 
-    followed = problem.with_forces(_followed(problem, baseline, rng, progress))
-    found, runs, begin = begun(followed, start), baseline, None
+    def about(runs: Runs, entries: np.ndarray, by_runs: Grown | None = None) -> _Begun | None:
+        # The plant, and what the numbers take, as they are where these have led it.
+        with contextlib.suppress(ComputationError):
+            with contextlib.suppress(ComputationError):
+                problem.plant = linearized(problem.simulator, problem.record, runs.calls[0], runs.y[0], rng)
+            again = begun(problem.with_forces(runs), entries, by_runs)
+            return again if again.fitted is not None else None
+        return None
+
+    found = failure = None
+    try:
+        followed = problem.with_forces(_followed(problem, baseline, rng, progress))
+        found = begun(followed, start)
+    except ComputationError as error:
+        failure = error
+    if found is None or not _settled(problem, found.fitted):
+        progress.unlimited.stage("fitting the simulator's numbers over parts that grow")
+        by_runs = grown(problem, start)
+        again = None if by_runs is None or problem.plant is None else about(by_runs.runs, by_runs.entries, by_runs)
+        if again is not None:
+            return again, by_runs.runs, again.fitted.candidate
+        if found is None:
+            raise failure
+        problem.plant, problem.idle = found.plant, found.idle
+    runs, begin = baseline, None
     for _ in range(MAX_LEADS):
         fitted = found.fitted
         if fitted is None or problem.follow(runs.y) or problem.follow(fitted.y):
@@ -178,23 +203,19 @@ def _begin(
         if further is None or problem.followed_until(further) <= problem.followed_until(runs):
             break
         try:
-            about = problem.with_forces(_followed(problem, further, rng, progress))
-            again = begun(about, fitted.candidate.entries)
+            led = problem.with_forces(_followed(problem, further, rng, progress))
+            again = begun(led, fitted.candidate.entries)
         except ComputationError:
             break
         if again.fitted is None:
             break
-        found, followed, runs, begin = again, about, further, fitted.candidate
+        found, followed, runs, begin = again, led, further, fitted.candidate
     fitted = found.fitted
     runs = problem.tried(problem.called(fitted.candidate.entries)) if _moved_far(problem, baseline, fitted) else None
     if runs is not None and problem.follow(runs.y):
-        # Its plant, and what its numbers take, as they are where these have led it.
-        with contextlib.suppress(ComputationError):
-            with contextlib.suppress(ComputationError):
-                problem.plant = linearized(problem.simulator, problem.record, runs.calls[0], runs.y[0], rng)
-            again = begun(problem.with_forces(runs), fitted.candidate.entries)
-            if again.fitted is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y):
-                found, begin = again, fitted.candidate
+        again = about(runs, fitted.candidate.entries)
+        if again is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y):
+            found, begin = again, fitted.candidate
     problem.plant, problem.idle = found.plant, found.idle
     return found, followed, begin
 
@@ -252,10 +273,22 @@ def _moved_far(problem: Problem, baseline: Runs, fitted: Settled | None) -> bool
     return not fitted.still and nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
 
 
-def _numbers_alone(problem: Problem, context: SearchContext, begin: Candidate, wholes: Linear) -> Settled | None:
-    """The numbers without any law; None where the simulator does not run with them."""
+def _settled(problem: Problem, fitted: Settled | None) -> bool:
+    """Whether numbers alone stand still, or leave nothing but noise."""
+    return fitted is not None and (fitted.still or is_white(parts_of(problem, fitted.y)[0]))
+
+
+def _numbers_alone(
+    problem: Problem, context: SearchContext, begin: Candidate, wholes: Linear, by_runs: Grown | None
+) -> Settled | None:
+    """The numbers without any law, those that runs found or the settled ones; None where the simulator does not run
+    with them."""
     try:
-        return settle(problem, context, refit_of_numbers(context, begin), wholes)
+        fit = refit_of_numbers(context, begin)
+        if by_runs is None:
+            return settle(problem, context, fit, wholes)
+        fit = dataclasses.replace(by_runs.fit(problem, fit), candidate=begin)
+        return Settled(begin, fit, context.simulator, wholes, tuple(context.data), by_runs.runs.y, True)
     except ComputationError:
         return None
 

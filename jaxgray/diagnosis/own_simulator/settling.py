@@ -13,9 +13,8 @@ from ..model.free_run import rms_of
 from ..model.parameter_vector import Layout
 from ..noise.whitening import white_noise_model
 from ..screening.linearization import sampled_plant
-from .gains import parts_of
 from .numbers import NumbersSimulator
-from .problem import Linear, Problem, Runs
+from .problem import Linear, Problem, Runs, parts_of
 
 LED = 2
 """Runs at most that a force leads along the records, where the laws alone lead elsewhere."""
