@@ -32,7 +32,7 @@ FEWEST = 100
 TURNS = 10
 """Gauss-Newton steps a part at most."""
 
-CHANGE = 1e-3
+CHANGE = 1e-4
 """Change of an entry for its slope: the motion answers to it far above rounding and far below the motion itself."""
 
 FIRST, MOVED, LARGEST = 2, 0.1, 1e6
@@ -189,8 +189,10 @@ def _parts(problem: Problem, runs: Runs, share: float) -> list[FreeRun]:
     """Runs over the first parts of the data of the fit."""
     parts = []
     for run in parts_of(problem, runs.y)[0]:
-        samples = max(round(share * len(run.e)), FEWEST)
-        parts.append(FreeRun(run.simulated[:samples], run.e[:samples], run.kept[:samples]))
+        samples = min(max(round(share * len(run.e)), FEWEST), len(run.e))
+        # What leads to a first state is no motion of the simulator's own.
+        kept = run.kept[:samples] & (np.arange(samples) >= FIRST)[:, None]
+        parts.append(FreeRun(run.simulated[:samples], np.where(kept, run.e[:samples], 0.0), kept))
     return parts
 
 

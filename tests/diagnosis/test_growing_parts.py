@@ -1,0 +1,73 @@
+"""Numbers of a simulator whose motion hangs sharply on them, fitted by its own runs over parts of the record that
+grow; data from equations of their own, with the truth in them."""
+
+import numpy as np
+import pendulum
+import pytest
+
+import jaxgray
+from jaxgray.diagnosis.own_simulator.calls import Simulator
+from jaxgray.diagnosis.own_simulator.growing_parts import grown
+from jaxgray.diagnosis.own_simulator.problem import Problem, Span
+from jaxgray.diagnosis.own_simulator.tracking import relative_error
+
+SAMPLES, KICK = 1600, 1.0
+GIVEN = {"inertia": 0.103, "damping": 0.0, "gravity": 1.9, "friction": 0.0}
+"""Without friction it turns over where the machine does not."""
+
+UNITS = np.array([0.103, 0.1, 1.9, 0.1])
+
+
+def measured(law=pendulum.nothing, size=0.0, *, kick=0.0, seed=1):
+    """A record of the machine, which begins in motion after a kick [N m] that the record does not hold."""
+    rng = np.random.default_rng(seed)
+    u = pendulum.torque(SAMPLES, rng)
+    q = pendulum.run(u + kick * (np.arange(SAMPLES) == 0), pendulum.TRUTH, law, size)
+    return jaxgray.Record(u, q + 0.003 * q.std() * rng.standard_normal(SAMPLES), 0.01)
+
+
+def problem_of(record, end=SAMPLES):
+    simulator = Simulator(pendulum.simulator, tuple(GIVEN), 1)
+    return Problem(simulator, (Span(record, slice(0, end), None),), UNITS, ())
+
+
+START = np.array(list(GIVEN.values())) / UNITS
+
+
+@pytest.mark.parametrize("kick", [0.0, KICK])
+def test_numbers_far_off_are_found_whatever_the_first_state(kick):
+    problem = problem_of(measured(kick=kick))
+    before = problem.tried(problem.called(START))
+    assert relative_error(problem.record, before.y[0]) > 0.1, "with the numbers that were given it moves elsewhere"
+    found = grown(problem, START)
+    assert found is not None
+    assert np.allclose(found.entries * UNITS, list(pendulum.TRUTH.values()), rtol=0.02)
+    e = problem.record.y - found.runs.y[0]
+    assert np.sqrt(np.mean(e**2)) < 1.1 * 0.003 * problem.record.y.std()
+    # Slopes are those of the simulator.
+    one, other = (
+        pendulum.simulator(problem.record.u, 0 * e, dict(zip(GIVEN, (found.entries + x * np.eye(4)[2]) * UNITS)))
+        for x in (0.0, 1e-5)
+    )
+    if kick == 0:
+        slope = ((other - one) / 1e-5).reshape(-1)
+        assert np.linalg.norm(slope - found.slopes[0][:, 0, 2]) < 0.1 * np.linalg.norm(slope)
+
+
+def test_what_numbers_do_not_explain_ends_it_soon():
+    problem = problem_of(measured(pendulum.cogging, 0.3))
+    assert grown(problem, START) is None
+    assert problem.simulator.count < 150
+
+
+def test_a_simulator_that_fails_on_the_way_ends_it():
+    problem = problem_of(measured())
+    plain = problem.simulator.function
+
+    def fails(u, w, numbers):
+        if numbers["damping"] > 0.01:
+            raise ValueError("too much")
+        return plain(u, w, numbers)
+
+    problem.simulator.function = fails
+    assert grown(problem, START) is None
