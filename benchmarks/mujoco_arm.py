@@ -10,6 +10,7 @@ numbers, that the missing one and no other that was 0 is off. A lag counts as th
 all that was found can be written as MJCF, the gain of that file is measured on another record.
 """
 
+import dataclasses
 import functools
 import pathlib
 import tempfile
@@ -217,18 +218,20 @@ def judged(seed, effect, folder):
         if s.standard_error and s.name in true
     }
     if (laws or off) and not simulator.unwritten(found):
-        row |= _measured(simulator, found, record, other, folder / f"arm{seed}_mended.xml")
+        row |= _measured(simulator, found, other, folder / f"arm{seed}_mended.xml")
     return row
 
 
-def _measured(simulator, found, record, other, path):
+def _measured(simulator, found, other, path):
     """Gain on another record of the model that was written, and by how much its run differs from that of the
     simulator with the same numbers."""
     path.write_text(simulator.mended(found))
     none = np.zeros_like(other.y)
-    before = simulator(other.u, none, simulator.numbers)
-    # Both begin where the record does.
-    after = MujocoSimulator(path, record)(other.u, none, {})
+    # Both begin where the machine does, not at a first sample with its noise.
+    resting = dataclasses.replace(other, y=none)
+    own = MujocoSimulator(simulator.path, resting)
+    before = own(other.u, none, simulator.numbers)
+    after = MujocoSimulator(path, resting)(other.u, none, {})
     # In units of the noise, as the gain of a diagnosis is.
     floor = np.array(list(found.noise_floor.values()))
     row = {
@@ -239,7 +242,7 @@ def _measured(simulator, found, record, other, path):
     row["gain_interval"] = list(found.gain.ci95) if found.gain else None
     if all(f.effect == "parameter_error" for f in found.findings if f.stage == "model"):
         new = {s.name: s.after for s in found.shifts if any(f.location == s.name for f in found.findings)}
-        same = simulator(other.u, none, simulator.numbers | new)
+        same = own(other.u, none, simulator.numbers | new)
         row["written"] = float(np.max(np.abs(after - same)) / np.std(same))
     return row
 

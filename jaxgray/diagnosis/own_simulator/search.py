@@ -90,18 +90,63 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
         return _context(problem, linear, wholes, catalogue, separate, rng, progress)
 
     found, followed, begin = _begin(problem, baseline, start, context_of, rng, progress)
+    search = functools.partial(_laws, problem, context_of=context_of, baseline=baseline, start=start, most=max_effects)
+    context, states, settled = search(found, begin)
+    if not settled and states[-1].unexplained and _settled(problem, found.fitted):
+        # Numbers that stand still in the linear plant may not be those of the simulator.
+        again = _by_own_runs(problem, start, context_of, rng, progress)
+        if again is not None:
+            found, followed, begin = again
+            context, states, settled = search(found, begin)
+        else:
+            problem.plant, problem.idle = found.plant, found.idle
+    fitted = found.fitted
+    if not settled:
+        if fitted is None:
+            detail = "it does not run with the numbers that the record asks for"
+            raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
+        settled.append(fitted)
+    return diagnosis_of(
+        problem, context, states, settled, baseline=baseline, fitted=fitted, followed=followed, start=start
+    )
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """Where laws are looked for: the `plant` about a run, which numbers are `idle` there, the `linear` simulator and
+    records for it (`wholes`), and numbers alone in the simulator (`fitted`; None where it does not run with them)."""
+
+    plant: Linearized
+    idle: np.ndarray
+    linear: NumbersSimulator
+    wholes: Linear
+    fitted: Settled | None
+
+
+def _laws(
+    problem: Problem,
+    found: _Beginning,
+    begin: Candidate | None,
+    *,
+    context_of: Callable,
+    baseline: Runs,
+    start,
+    most: int,
+) -> tuple[SearchContext, list[SearchState], list[Settled]]:
+    """Laws in the linear plant, one a round, each settled in the simulator: the last context, the state of every round,
+    and what was settled."""
     linear, wholes, fitted = found.linear, found.wholes, found.fitted
     if fitted is not None and is_white(parts_of(problem, fitted.y)[0]):
         # The numbers explain it all: what they were is nothing that a law has to stand for.
         linear, wholes, begin = fitted.linear, fitted.wholes, fitted.candidate
     states: list[SearchState] = []
     settled: list[Settled] = []
-    while len(settled) <= max_effects:
+    while len(settled) <= most:
         context = context_of(linear, wholes)
         begin = Candidate(start, wholes.states[: len(context.data)]) if begin is None else begin
-        state = select_forward(context, begin, min(1, max_effects - len(settled)))
+        state = select_forward(context, begin, min(1, most - len(settled)))
         states.append(state)
-        law = offered(context, state) if len(settled) < max_effects else None
+        law = offered(context, state) if len(settled) < most else None
         if law is None:
             break
         try:
@@ -125,31 +170,12 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
         state.rejected = [one for one in state.rejected if (one.effect, one.location) not in taken]
         settled.append(now)
         linear, wholes, begin = now.linear, now.wholes, now.candidate
-    if not settled:
-        if fitted is None:
-            detail = "it does not run with the numbers that the record asks for"
-            raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
-        settled.append(fitted)
-    return diagnosis_of(
-        problem, context, states, settled, baseline=baseline, fitted=fitted, followed=followed, start=start
-    )
-
-
-@dataclass(frozen=True)
-class _Begun:
-    """Where laws are looked for: the `plant` about a run, which numbers are `idle` there, the `linear` simulator and
-    records for it (`wholes`), and numbers alone in the simulator (`fitted`; None where it does not run with them)."""
-
-    plant: Linearized
-    idle: np.ndarray
-    linear: NumbersSimulator
-    wholes: Linear
-    fitted: Settled | None
+    return context, states, settled
 
 
 def _begin(
     problem: Problem, baseline: Runs, start: np.ndarray, context_of: Callable, rng, progress
-) -> tuple[_Begun, Runs, Candidate | None]:
+) -> tuple[_Beginning, Runs, Candidate | None]:
     """Where laws are looked for, runs that forces lead along the records, and the candidate to begin with, None for the
     numbers as they were given.
 
@@ -159,25 +185,7 @@ def _begin(
     **Raises:** `ComputationError` where the simulator fails with the numbers as they were given.
     """
 
-    def begun(about: Runs, entries: np.ndarray, by_runs: Grown | None = None) -> _Begun:
-        problem.idle = problem.idle_by(about.by_number)
-        linear = problem.linear_simulator(entries, steps_of(problem.linear_model(), problem.record.sampling_time))
-        wholes = problem.linear_data(linear, about).near(about.y)
-        progress.unlimited.stage("fitting the simulator's numbers")
-        context = context_of(linear, wholes)
-        candidate = Candidate(entries, wholes.states[: len(context.data)])
-        fitted = _numbers_alone(problem, context, candidate, wholes, by_runs)
-        return _Begun(problem.plant, problem.idle, linear, wholes, fitted)
-
-    def about(runs: Runs, entries: np.ndarray, by_runs: Grown | None = None) -> _Begun | None:
-        # The plant, and what the numbers take, as they are where these have led it.
-        with contextlib.suppress(ComputationError):
-            with contextlib.suppress(ComputationError):
-                problem.plant = linearized(problem.simulator, problem.record, runs.calls[0], runs.y[0], rng)
-            again = begun(problem.with_forces(runs), entries, by_runs)
-            return again if again.fitted is not None else None
-        return None
-
+    begun = functools.partial(_begun, problem, context_of, progress)
     found = failure = None
     try:
         followed = problem.with_forces(_followed(problem, baseline, rng, progress))
@@ -185,11 +193,9 @@ def _begin(
     except ComputationError as error:
         failure = error
     if found is None or not _settled(problem, found.fitted):
-        progress.unlimited.stage("fitting the simulator's numbers over parts that grow")
-        by_runs = grown(problem, start)
-        again = None if by_runs is None or problem.plant is None else about(by_runs.runs, by_runs.entries, by_runs)
+        again = _by_own_runs(problem, start, context_of, rng, progress)
         if again is not None:
-            return again, by_runs.runs, again.fitted.candidate
+            return again
         if found is None:
             raise failure
         problem.plant, problem.idle = found.plant, found.idle
@@ -213,11 +219,52 @@ def _begin(
     fitted = found.fitted
     runs = problem.tried(problem.called(fitted.candidate.entries)) if _moved_far(problem, baseline, fitted) else None
     if runs is not None and problem.follow(runs.y):
-        again = about(runs, fitted.candidate.entries)
+        again = _anew(problem, context_of, rng, progress, runs, fitted.candidate.entries)
         if again is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y):
             found, begin = again, fitted.candidate
     problem.plant, problem.idle = found.plant, found.idle
     return found, followed, begin
+
+
+def _begun(
+    problem: Problem, context_of: Callable, progress, about: Runs, entries: np.ndarray, by_runs: Grown | None = None
+) -> _Beginning:
+    """Where laws are looked for about some runs, with the forces that numbers take there."""
+    problem.idle = problem.idle_by(about.by_number)
+    linear = problem.linear_simulator(entries, steps_of(problem.linear_model(), problem.record.sampling_time))
+    wholes = problem.linear_data(linear, about).near(about.y)
+    progress.unlimited.stage("fitting the simulator's numbers")
+    context = context_of(linear, wholes)
+    candidate = Candidate(entries, wholes.states[: len(context.data)])
+    fitted = _numbers_alone(problem, context, candidate, wholes, by_runs)
+    return _Beginning(problem.plant, problem.idle, linear, wholes, fitted)
+
+
+def _anew(
+    problem: Problem, context_of, rng, progress, runs: Runs, entries: np.ndarray, by_runs: Grown | None = None
+) -> _Beginning | None:
+    """The same with the plant, and what the numbers take, as they are about these runs; None where that cannot be."""
+    with contextlib.suppress(ComputationError):
+        with contextlib.suppress(ComputationError):
+            problem.plant = linearized(problem.simulator, problem.record, runs.calls[0], runs.y[0], rng)
+        again = _begun(problem, context_of, progress, problem.with_forces(runs), entries, by_runs)
+        return again if again.fitted is not None else None
+    return None
+
+
+def _by_own_runs(
+    problem: Problem, start: np.ndarray, context_of: Callable, rng, progress
+) -> tuple[_Beginning, Runs, Candidate] | None:
+    """As `_begin`, with numbers that the simulator's own runs found over parts that grow; None where they find none
+    that alone explain the data."""
+    if problem.plant is None:
+        return None
+    progress.unlimited.stage("fitting the simulator's numbers over parts that grow")
+    by_runs = grown(problem, start)
+    if by_runs is None:
+        return None
+    found = _anew(problem, context_of, rng, progress, by_runs.runs, by_runs.entries, by_runs)
+    return None if found is None else (found, by_runs.runs, found.fitted.candidate)
 
 
 def _followed(problem: Problem, baseline: Runs, rng, progress) -> Runs:
