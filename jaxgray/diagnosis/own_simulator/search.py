@@ -11,7 +11,7 @@ import numpy as np
 from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect
 from ...mechanics.systems.drives import Force
 from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.progress import AbstractProgress
+from ...numerics.progress import AbstractProgress, BudgetSpent
 from ...records import Record
 from .. import settings
 from ..acceptance import unproven
@@ -38,6 +38,9 @@ from .tracking import near_until
 MAX_RELINEARIZATIONS, MAX_LEADS = 8, 2
 """Times that a simulator is linearized about a led run to lead it further; and times that it is led anew with other
 numbers."""
+
+GROWING = "fitting the simulator's numbers over parts that grow"
+"""What is said while the simulator's own runs fit them."""
 
 REPEATED = 1e-9
 """Difference of two runs with the same inputs, relative to the motion, that rounding may make."""
@@ -92,9 +95,12 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     found, followed, begin = _begin(problem, baseline, start, context_of, rng, progress)
     search = functools.partial(_laws, problem, context_of=context_of, baseline=baseline, start=start, most=max_effects)
     context, states, settled = search(found, begin)
-    if not settled and states[-1].unexplained and _settled(problem, found.fitted):
+    if not settled and states[-1].unexplained and not found.by_runs and _settled(problem, found.fitted):
         # Numbers that stand still in the linear plant may not be those of the simulator.
-        again = _by_own_runs(problem, start, context_of, rng, progress)
+        again = None
+        with contextlib.suppress(BudgetSpent):
+            progress.stage(GROWING)
+            again = _by_own_runs(problem, start, context_of, rng, progress)
         if again is not None:
             found, followed, begin = again
             context, states, settled = search(found, begin)
@@ -114,13 +120,15 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
 @dataclass(frozen=True)
 class _Beginning:
     """Where laws are looked for: the `plant` about a run, which numbers are `idle` there, the `linear` simulator and
-    records for it (`wholes`), and numbers alone in the simulator (`fitted`; None where it does not run with them)."""
+    records for it (`wholes`), numbers alone in the simulator (`fitted`; None where it does not run with them), and
+    whether its own runs found them (`by_runs`)."""
 
     plant: Linearized
     idle: np.ndarray
     linear: NumbersSimulator
     wholes: Linear
     fitted: Settled | None
+    by_runs: bool
 
 
 def _laws(
@@ -237,7 +245,7 @@ def _begun(
     context = context_of(linear, wholes)
     candidate = Candidate(entries, wholes.states[: len(context.data)])
     fitted = _numbers_alone(problem, context, candidate, wholes, by_runs)
-    return _Beginning(problem.plant, problem.idle, linear, wholes, fitted)
+    return _Beginning(problem.plant, problem.idle, linear, wholes, fitted, by_runs is not None)
 
 
 def _anew(
@@ -259,7 +267,7 @@ def _by_own_runs(
     that alone explain the data."""
     if problem.plant is None:
         return None
-    progress.unlimited.stage("fitting the simulator's numbers over parts that grow")
+    progress.unlimited.stage(GROWING)
     by_runs = grown(problem, start)
     if by_runs is None:
         return None
