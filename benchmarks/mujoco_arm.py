@@ -6,8 +6,9 @@ The machine is MuJoCo as well, with what its user's MJCF lacks: damping or dry f
 of the elbow, a delay or a limit of a motor, cogging, a stop, or a payload at the tip; every number that the MJCF has is
 up to 5 % off. Noise is 0.2 to 1 % of the motion. Damping, dry friction, backlash and payload are numbers that are 0
 there. Right is a law at its joint or motor, alone or in a class, and no other, be it that a part stays unexplained; of
-numbers, that the missing one and no other that was 0 is off. A lag counts as the delay, a dead zone as the stop. Where
-all that was found can be written as MJCF, the gain of that file is measured on another record.
+numbers, that the missing one is off, and no other but those that are, alone or in a class. A lag counts as the delay, a
+dead zone as the stop. Where all that was found can be written as MJCF, the gain of that file is measured on another
+record.
 """
 
 import dataclasses
@@ -197,26 +198,31 @@ def judged(seed, effect, folder):
     except jaxgray.ComputationError as error:
         return row | {"failed": str(error), "seconds": time.perf_counter() - began}
     laws = laws_of(found)
-    off = {f.location: f for f in found.findings if f.effect == "parameter_error"}
+    off = [
+        {m.location: m.parameters["value"] for m in f.members} for f in found.findings if f.effect == "parameter_error"
+    ]
     members = [{(m.effect, m.location) for m in f.members} | {(f.effect, f.location)} for f in laws]
-    added = {name for name in off if simulator.numbers[name] == 0.0}
     number = {"payload": "flange.payload", "backlash": "gear.backlash"}.get(effect, f"{JOINTS[truth['at']]}.{effect}")
+    true = truth["numbers"] | ({number: truth["size"]} if effect in ("payload", "backlash") else {})
+    wrong = {name for name, value in true.items() if value != simulator.numbers[name]}
+    row["right"] = all(names.keys() & wrong for names in off)
     if effect in WANTED:
         ids, places = WANTED[effect]
         names = {(one, places[truth["at"]]) for one in ids}
-        row["right"] = len(laws) == 1 and bool(members[0] & names) and not added
+        row["right"] &= len(laws) == 1 and bool(members[0] & names)
         row["alone"] = row["right"] and members[0] <= names
     else:
-        row["right"] = not laws and added == ({number} if effect else set()) and found.verdict in ("named", "noise")
-    row |= {"verdict": found.verdict, "found": [sorted(m) for m in members], "off": sorted(off)}
+        row["right"] &= not laws and found.verdict not in ("partly", "unexplained")
+        row["right"] &= sum(number in names for names in off) == (effect is not None)
+    row |= {"verdict": found.verdict, "found": [sorted(m) for m in members], "off": sorted(map(sorted, off))}
     row |= {"calls": calls[0], "seconds": time.perf_counter() - began}
     row |= {"excess": found.excess, "baseline_excess": found.baseline_excess}
-    true = truth["numbers"] | ({number: truth["size"]} if effect in ("payload", "backlash") else {})
-    row["deviations"] = {
-        s.name: (s.after - true.get(s.name, 0.0)) / s.standard_error
-        for s in found.shifts
-        if s.standard_error and s.name in true
-    }
+    # Of several that stand for one another, the one that is off.
+    alone = {s.name: (s.after, s.standard_error) for s in found.shifts if s.name in true and s.standard_error}
+    for names in off:
+        alone = {name: one for name, one in alone.items() if len(names) == 1 or name not in names}
+        alone |= {name: (names[name].value, names[name].standard_error) for name in names if name in wrong}
+    row["deviations"] = {name: (value - true[name]) / error for name, (value, error) in alone.items()}
     if (laws or off) and not simulator.unwritten(found):
         row |= _measured(simulator, found, other, folder / f"arm{seed}_mended.xml")
     return row

@@ -6,10 +6,10 @@ import pendulum
 import pytest
 
 import jaxgray
-from jaxgray.diagnosis.own_simulator.calls import Simulator
 from jaxgray.diagnosis.own_simulator.growing_parts import grown
-from jaxgray.diagnosis.own_simulator.problem import Problem, Span
-from jaxgray.diagnosis.own_simulator.tracking import relative_error
+from jaxgray.diagnosis.own_simulator.runs.calls import Simulator
+from jaxgray.diagnosis.own_simulator.runs.problem import Problem, Span
+from jaxgray.diagnosis.own_simulator.runs.tracking import relative_error
 
 SAMPLES, KICK = 1600, 1.0
 GIVEN = {"inertia": 0.103, "damping": 0.0, "gravity": 1.9, "friction": 0.0}

@@ -12,11 +12,11 @@ import scipy.signal
 import jaxgray
 from jaxgray.diagnosis.estimation.measured_motion import FORCES
 from jaxgray.diagnosis.model.candidate import Candidate
-from jaxgray.diagnosis.own_simulator import tracking
-from jaxgray.diagnosis.own_simulator.calls import Call, Simulator, checked_numbers
-from jaxgray.diagnosis.own_simulator.linearized import linearized
-from jaxgray.diagnosis.own_simulator.problem import Problem, Span
-from jaxgray.diagnosis.own_simulator.tracking import forces_by_number, tracked
+from jaxgray.diagnosis.own_simulator.runs import tracking
+from jaxgray.diagnosis.own_simulator.runs.calls import Call, Simulator, checked_numbers
+from jaxgray.diagnosis.own_simulator.runs.linearized import linearized
+from jaxgray.diagnosis.own_simulator.runs.problem import Problem, Span
+from jaxgray.diagnosis.own_simulator.runs.tracking import forces_by_number, tracked
 from jaxgray.numerics.outcomes import ComputationError
 
 H, SAMPLES = 0.01, 1500

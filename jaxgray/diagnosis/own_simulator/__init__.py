@@ -1,15 +1,12 @@
 """The user's own simulator on trial: y = f(u, w, θ), with w a force at every coordinate and θ its numbers.
 
-    calls         the simulator as it is called, side by side, and what is said where it fails
-    linearized    the linear plant that it is for small forces, and forces that give a motion
-    numbers       its numbers as what a refit moves beside the laws
-    tracking      the force that brings it to the record, and the force that every number takes
-    problem       records and simulator together: runs and their parts, data for the linear plant
-    search        numbers first, then laws, then both in the simulator itself
-    growing_parts numbers by its own runs, over parts of the records that grow
-    settling      laws and numbers where they stand still in the simulator
-    contenders    the law that explains most there
-    conclusions   what is said of it, and what one run gains over another
+    runs               the simulator as it is called, and the linear plant that stands for it about a run
+    search             numbers first, then laws, then both in the simulator itself
+    growing_parts      numbers by its own runs, over parts of the records that grow
+    settling           laws and numbers where they stand still in the simulator
+    contenders         the law that explains most there
+    necessary_numbers  the fewest numbers that have to be other, and which of them stand for one another
+    conclusions        what is said of it, and what one run gains over another
 
 A law is looked for in a linear plant P that answers as the simulator does to small forces. Its input is not the
 record's: it is what gives the motion of the simulator, and less by the force that the simulator lacks. So its run is

@@ -18,8 +18,9 @@ from ..noise.floor import ADOPTED, independent_floor
 from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..search.state import SearchState
-from .problem import Outputs, Parts, Problem, Runs, nearer, parts_of
-from .settling import Settled, with_numbers
+from .necessary_numbers import Necessary, necessary
+from .runs.problem import Outputs, Parts, Problem, Runs, nearer, parts_of
+from .settling import Settled, shown_by
 
 UNSETTLED = "The laws and numbers still moved in the last run of the simulator"
 
@@ -49,17 +50,22 @@ def diagnosis_of(
     not run with them.
     """
     names = problem.record.output_names
-    settled, state = every[-1], joined(states)
+    state, settled = joined(states), every[-1]
     records = [span.record[span.fit] for span in problem.spans if span.fit is not None]
     held = [span.record[span.held] for span in problem.spans if span.held is not None]
     given, elsewhere = problem.begun(baseline.y), _begins_elsewhere(settled)
     shown = given if elsewhere else baseline.y
-    before, after = (parts_of(problem, y) for y in (shown, settled.y))
     floor, source = independent_floor(records[0])
-    floor = rms_of(after[0]) if floor is None else floor
+    unexplained = state.unexplained or _leaves_more(problem, settled, followed, floor, source)
+    floor = rms_of(parts_of(problem, settled.y)[0]) if floor is None else floor
 
     def gain(one: Outputs, other: Outputs) -> Gain:
         return gain_between(problem, context, one, other, given, floor)
+
+    samples = sum(map(len, records))
+    numbers = necessary(problem, settled, start, samples, None if unexplained else gain)
+    settled = every[-1] = numbers.settled
+    before, after = (parts_of(problem, y) for y in (shown, settled.y))
 
     context = dataclasses.replace(context, simulator=settled.linear, data=list(settled.data))
     plain = given if fitted is None else nearer(problem, fitted.y, given)
@@ -69,22 +75,15 @@ def diagnosis_of(
     whole = gain(given, settled.y)
     state.fit = settled.fit
     laws = list(findings_of(context, state, records[0])) if state.accepted else []
-    # In shares of what the laws leave with the numbers as they were.
     left = overall(rms_of(after[0]), floor)
-    # What the linear plant foresaw and the simulator does not keep.
-    foreseen = [FreeRun(e, e, d.kept) for e, d in zip(settled.fit.residual, settled.data)]
-    lost = overall(rms_of(after[0]), rms_of(foreseen)) >= settings.MIN_EXCESS
-    unexplained = state.unexplained or lost or (source != ADOPTED and left >= settings.MIN_EXCESS)
-    # A force makes the simulator follow the record much more closely than laws and numbers do.
-    led = overall(rms_of(after[0]), rms_of(parts_of(problem, followed.y)[0]))
-    unexplained = unexplained or led >= MUCH_FARTHER
-    warnings = _warnings(problem, settled, start, elsewhere, unexplained)
-    as_given = None if unexplained else with_numbers(problem, settled, start, baseline)
-    numbers = []
+    warnings = _warnings(problem, numbers, start, elsewhere, unexplained)
+    # What the laws leave with the numbers as they were.
+    as_given = None if unexplained else shown_by(problem, settled, settled.candidate.with_entries(start), baseline)
+    wrong = []
     if as_given is not None:
-        mended = gain_between(problem, context, as_given, settled.y, as_given, floor)
-        numbers = _numbers(problem, settled, start, mended, sum(map(len, records)))
-    findings = numbers + laws
+        mended = gain(as_given, settled.y)
+        wrong = _wrong(problem, numbers, start, mended)
+    findings = wrong + laws
     if unexplained:
         verdict = "partly" if findings else "unexplained"
     else:
@@ -95,7 +94,7 @@ def diagnosis_of(
         findings.append(Finding("unexplained", names[worst], "unexplained", "model", (), {}, None, None))
     model = problem.linear_model()
     extended = None
-    if numbers or laws:
+    if wrong or laws:
         extended = summary_of(problem.linear_model(settled.candidate.terms), None, after[0][0], after[1], records, held)
     noise = () if unexplained else noise_findings(records[0], after[0][0].e)
     return Diagnosis(
@@ -113,7 +112,7 @@ def diagnosis_of(
         depends_on=(),
         rejected=rejected_of(context, state, records[0]),
         not_found=not_found_of(state.screening, context, records[0], accepted_names(state.accepted)),
-        shifts=_shifts(problem, settled, start),
+        shifts=_shifts(problem, numbers, start),
         budget=_budget([before, *(parts_of(problem, y) for y in steps)], state, floor, unexplained),
         next_experiment=None,
         warnings=warnings,
@@ -151,9 +150,15 @@ def is_white(runs: list[FreeRun]) -> bool:
     return all(np.all(run.rmse**2 <= settings.MIN_EXCESS**2 * white_part(run.e, run.kept)) for run in runs)
 
 
-def _errors(settled: Settled) -> np.ndarray:
-    count = len(settled.candidate.entries)
-    return np.sqrt(np.maximum(np.diag(settled.fit.covariance)[:count], 0.0))
+def _leaves_more(problem: Problem, settled: Settled, followed: Runs, floor: np.ndarray | None, source: str) -> bool:
+    """Whether laws and numbers leave more than noise: than a floor that is known of otherwise, than what the linear
+    plant foresaw, or much more than a force that makes the simulator follow the records."""
+    after = rms_of(parts_of(problem, settled.y)[0])
+    foreseen = [FreeRun(e, e, d.kept) for e, d in zip(settled.fit.residual, settled.data)]
+    if floor is not None and source != ADOPTED and overall(after, floor) >= settings.MIN_EXCESS:
+        return True
+    led = rms_of(parts_of(problem, followed.y)[0])
+    return overall(after, rms_of(foreseen)) >= settings.MIN_EXCESS or overall(after, led) >= MUCH_FARTHER
 
 
 def _begins_elsewhere(settled: Settled) -> bool:
@@ -168,10 +173,10 @@ def _begins_elsewhere(settled: Settled) -> bool:
 
 
 def _warnings(
-    problem: Problem, settled: Settled, start: np.ndarray, elsewhere: bool, unexplained: bool
+    problem: Problem, numbers: Necessary, start: np.ndarray, elsewhere: bool, unexplained: bool
 ) -> tuple[str, ...]:
     """What is to be known of the numbers; `elsewhere`: whether a record begins in another state than its run."""
-    names, entries, warnings = problem.simulator.names, settled.candidate.entries, []
+    settled, names, warnings = numbers.settled, problem.simulator.names, []
     if not settled.still:
         warnings.append(f"{UNSETTLED}: their errors may be larger than is said.")
     if elsewhere:
@@ -179,44 +184,41 @@ def _warnings(
             "The record does not begin where the simulator does: its first state was fitted, to first order; put it "
             "among the numbers where it is large."
         )
-    moved = np.abs(entries - start) > 3 * np.maximum(_errors(settled), 1e-12)
+    moved = np.abs(numbers.values - start) > 3 * np.maximum(numbers.errors, 1e-12)
     if unexplained and np.any(moved):
         which = listed(name for name, one in zip(names, moved) if one)
         warnings.append(f"Beside what is not explained, {which} would be other: no finding, since they make up for it.")
-    loose = settled.fit.undetermined[: len(entries)] | settled.linear.setup.held
+    loose = settled.fit.undetermined[: len(start)] | settled.linear.setup.held
     if np.any(loose):
         which = listed(name for name, one in zip(names, loose) if one)
         warnings.append(f"This record does not determine {which}: excite what they act on, or leave them out.")
     return tuple(warnings)
 
 
-def _numbers(problem: Problem, settled: Settled, start: np.ndarray, gain: Gain, samples: int) -> list[Finding]:
-    """Findings of the numbers that are off for sure, and whose correction surely gains."""
+def _wrong(problem: Problem, numbers: Necessary, start: np.ndarray, gain: Gain) -> list[Finding]:
+    """Findings of the numbers that have to be other, where their correction surely gains: `gain` of all together."""
     if unproven(gain) is not None:
         return []
     found = []
-    for k, (name, error) in enumerate(zip(problem.simulator.names, _errors(settled))):
-        off, unit = settled.candidate.entries[k] - start[k], abs(problem.units[k])
-        evidence = (off / error) ** 2 - np.log(samples) if error > 0 else 0.0
-        if evidence < settings.MIN_DELTA_BIC:
-            continue
-        delta = off * problem.units[k]
-        parameters = {
-            "delta": Estimate(float(delta), float(error * unit), ""),
-            "value": Estimate(float(settled.candidate.entries[k] * problem.units[k]), float(error * unit), ""),
-        }
-        member = Member("parameter_error", name, 0.0, parameters)
-        found.append(Finding("parameter_error", name, "named", "model", (member,), parameters, float(evidence), gain))
+    for one in numbers.moved:
+        members = []
+        for number in (one, *one.rivals):
+            unit = abs(problem.units[number.k])
+            value, error = float(number.value * problem.units[number.k]), float(number.error * unit)
+            delta = value - float(start[number.k] * problem.units[number.k])
+            parameters = {"delta": Estimate(delta, error, ""), "value": Estimate(value, error, "")}
+            behind = float(number.evidence - one.evidence)
+            members.append(Member("parameter_error", problem.simulator.names[number.k], behind, parameters))
+        status = "named" if len(members) == 1 else "equivalent"
+        what = "parameter_error", members[0].location, status, "model"
+        found.append(Finding(*what, tuple(members), members[0].parameters, one.evidence, one.gain or gain))
     return found
 
 
-def _shifts(problem: Problem, settled: Settled, start: np.ndarray) -> tuple[ParameterShift, ...]:
-    """Every number as it was given and as it is fitted."""
-    values = zip(problem.simulator.names, start * problem.units, settled.candidate.entries * problem.units)
-    errors = [
-        None if loose or error == 0.0 else float(error)
-        for error, loose in zip(_errors(settled) * np.abs(problem.units), settled.fit.undetermined)
-    ]
+def _shifts(problem: Problem, numbers: Necessary, start: np.ndarray) -> tuple[ParameterShift, ...]:
+    """Every number as it was given, and as it would be beside those that have to be other."""
+    values = zip(problem.simulator.names, start * problem.units, numbers.values * problem.units)
+    errors = [float(e) if e > 0 else None for e in numbers.errors * np.abs(problem.units)]
     return tuple(ParameterShift(name, float(old), float(new), error) for (name, old, new), error in zip(values, errors))
 
 

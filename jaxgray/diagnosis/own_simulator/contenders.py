@@ -18,7 +18,7 @@ from ..noise.effective_samples import independent_share
 from ..screening.score_test import Score
 from ..search.confusable import alike
 from ..search.state import Accepted, SearchState
-from .problem import Linear, Problem, parts_of
+from .runs.problem import Linear, Outputs, Problem, parts_of
 from .settling import NEARER, Settled, left_by, settle
 
 MOST = 4
@@ -54,12 +54,12 @@ def offered(context: SearchContext, state: SearchState) -> Accepted | None:
 
 
 def chosen(
-    problem: Problem, context: SearchContext, state: SearchState, accepted: Accepted, wholes: Linear
+    problem: Problem, context: SearchContext, state: SearchState, accepted: Accepted, wholes: Linear, before: Outputs
 ) -> tuple[Accepted, Settled]:
     """A law that a search in the linear plant offers, or another of its round that explains more in the simulator.
 
     The linear plant answers to noise and to large forces not quite as the simulator does; settled in the simulator,
-    laws are compared by its own runs.
+    laws are compared by its own runs, and with those without the law (`before`).
 
     **Raises:** `ComputationError` where the simulator runs with none of them.
     """
@@ -81,10 +81,10 @@ def chosen(
         raise failure
     criteria, count = _criteria(problem, settled)
     best = min(criteria, key=criteria.__getitem__)
-    first = criteria.get(accepted.attempt.name, criteria[best])
+    without = count * left_by(problem, before)
 
     def attempt(name: tuple[str, str]) -> Attempt:
-        fit, delta = settled[name].fit, accepted.attempt.delta_bic + first - criteria[name]
+        fit, delta = settled[name].fit, without - criteria[name]
         return Attempt(known[name], fit, noise_model_of(context, fit), criteria[name], delta_bic=delta)
 
     first_of = attempt(best)

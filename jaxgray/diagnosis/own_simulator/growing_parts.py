@@ -20,8 +20,8 @@ from .. import settings
 from ..estimation.gauss_newton import NOTHING, Refit
 from ..model.free_run import FreeRun, rms_of
 from ..noise.whitening import white_part
-from .calls import Call, Failure
-from .problem import Problem, Runs, parts_of
+from .runs.calls import Call, Failure
+from .runs.problem import Problem, Runs, parts_of
 
 SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 """Parts of the data of the fit, one after the other."""

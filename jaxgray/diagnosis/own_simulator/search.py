@@ -25,15 +25,15 @@ from ..noise.floor import independent_floor
 from ..result import Diagnosis
 from ..search.forward import select_forward
 from ..search.state import SearchState, is_local
-from .calls import Call, Simulator, checked_function, checked_numbers
 from .conclusions import diagnosis_of, gain_between, is_white
 from .contenders import chosen, offered
 from .growing_parts import Grown, grown
-from .linearized import Linearized, linearized
-from .numbers import NumbersSimulator
-from .problem import Linear, Problem, Runs, Span, nearer, parts_of, sized
+from .runs.calls import Call, Simulator, checked_function, checked_numbers
+from .runs.linearized import Linearized, linearized
+from .runs.numbers import NumbersSimulator
+from .runs.problem import Linear, Problem, Runs, Span, nearer, parts_of, sized
+from .runs.tracking import near_until
 from .settling import Settled, left_by, refit_of_numbers, settle
-from .tracking import near_until
 
 MAX_RELINEARIZATIONS, MAX_LEADS = 8, 2
 """Times that a simulator is linearized about a led run to lead it further; and times that it is led anew with other
@@ -95,7 +95,9 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     found, followed, begin = _begin(problem, baseline, start, context_of, rng, progress)
     search = functools.partial(_laws, problem, context_of=context_of, baseline=baseline, start=start, most=max_effects)
     context, states, settled = search(found, begin)
-    if not settled and states[-1].unexplained and not found.by_runs and _settled(problem, found.fitted):
+    ends = settled[-1] if settled else found.fitted
+    left = states[-1].unexplained or ends is None or not is_white(parts_of(problem, ends.y)[0])
+    if left and not found.by_runs and _settled(problem, found.fitted):
         # Numbers that stand still in the linear plant may not be those of the simulator.
         again = None
         with contextlib.suppress(BudgetSpent):
@@ -157,15 +159,15 @@ def _laws(
         law = offered(context, state) if len(settled) < most else None
         if law is None:
             break
+        plain = problem.begun(baseline.y)
+        before = settled[-1].y if settled else plain if fitted is None else nearer(problem, fitted.y, plain)
         try:
-            law, now = chosen(problem, context, state, law, wholes)
+            law, now = chosen(problem, context, state, law, wholes, before)
         except ComputationError:
             # What was settled before stays; without any, its numbers alone are judged.
             state.rejected.append(Rejected.of(law.attempt.name, law.attempt.delta_bic, NOT_SIMULATED))
             state.accepted, state.unexplained, state.fit = [], True, None
             break
-        plain = problem.begun(baseline.y)
-        before = settled[-1].y if settled else plain if fitted is None else nearer(problem, fitted.y, plain)
         local = is_local(context, law.attempt.score.shape.effect)
         gain = gain_between(problem, context, before, now.y, plain, local=local)
         if (why := unproven(gain)) is not None:

@@ -13,8 +13,8 @@ from ..model.free_run import rms_of
 from ..model.parameter_vector import Layout
 from ..noise.whitening import white_noise_model
 from ..screening.linearization import sampled_plant
-from .numbers import NumbersSimulator
-from .problem import Linear, Problem, Runs, parts_of
+from .runs.numbers import NumbersSimulator
+from .runs.problem import Linear, Problem, Runs, parts_of
 
 LED = 2
 """Runs at most that a force leads along the records, where the laws alone lead elsewhere."""
@@ -168,15 +168,15 @@ def _as_foreseen(problem: Problem, runs: Runs, foreseen: list[np.ndarray], y: tu
     return True
 
 
-def with_numbers(
-    problem: Problem, settled: Settled, entries: np.ndarray, without: Runs
+def shown_by(
+    problem: Problem, settled: Settled, candidate: Candidate, without: Runs | None = None
 ) -> tuple[np.ndarray, ...] | None:
-    """What the sensors show of the simulator with other numbers beside the laws that were found; None where it does not
-    run with them. `without`: runs with these numbers and no law."""
-    linear, wholes, candidate = settled.linear, settled.wholes, settled.candidate.with_entries(entries)
+    """What the sensors show of the simulator with a candidate near what was settled; None where it does not run with
+    it. `without`: runs with its numbers and no law, where they are known."""
+    linear, wholes = settled.linear, settled.wholes
     for _ in range(CLOSED):
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
-        runs = problem.tried(calls) if candidate.terms else without
+        runs = without if without is not None and not candidate.terms else problem.tried(calls)
         if runs is None:
             return None
         try:

@@ -10,7 +10,7 @@ from ...mechanics.effects import CATALOGUE
 from ...mechanics.systems.drives import Force
 from ...numerics.text import listed, plus_minus
 from .. import settings
-from ..findings import DiagnosisFields, Finding, Gain, ParameterShift
+from ..findings import DiagnosisFields, Estimate, Finding, Gain, ParameterShift
 from .titles import number_of, parameters_text, place_of, title_of, value_text
 
 MANY = 4.0
@@ -153,14 +153,21 @@ def _correction(finding: Finding, names: tuple[str, ...]) -> str:
     delta = finding.parameters.get("delta")
     if delta is None:
         return f"{what} is wrong"
-    value = finding.parameters.get("value")
-    if value is not None:
-        given = plus_minus(value.value - delta.value)
-        text = f"{what} is {value_text(value.value, value.standard_error, value.unit, digits=1)}, not {given}"
-        return text + _rivals(finding, names)
+    if "value" in finding.parameters:
+        others = finding.members[1:] if finding.status == "equivalent" else ()
+        numbers = [_number(what, finding.parameters)]
+        numbers += [_number(number_of(m.effect, m.location, names), m.parameters) for m in others]
+        return ", or ".join(numbers) + (" (this record cannot tell which)" if others else "")
     size = value_text(abs(delta.value), delta.standard_error, delta.unit, digits=1)
     text = f"{what} should be {'higher' if delta.value > 0 else 'lower'} by {size}"
     return text + _rivals(finding, names)
+
+
+def _number(what: str, parameters: dict[str, Estimate]) -> str:
+    """What a number is, and what it was given as."""
+    delta, value = parameters["delta"], parameters["value"]
+    text = f"{what} is {value_text(value.value, value.standard_error, value.unit, digits=1)}"
+    return f"{text}, not {plus_minus(value.value - delta.value)}"
 
 
 def _rivals(finding: Finding, names: tuple[str, ...]) -> str:

@@ -13,15 +13,15 @@ import scipy.linalg
 import scipy.signal
 from jaxtyping import Float
 
-from ...mechanics.runs.extended import Plant, held_input
-from ...mechanics.systems.drives import Force
-from ...mechanics.systems.statespace import hold_matrices
-from ...numerics.outcomes import RESULTS, ComputationError
-from ...numerics.programs.stored_programs import ONCE, stored
-from ...records import Record
-from ..equation_error.rows import around_samples
-from ..model.candidate import Data
-from ..screening.linearization import sampled_plant
+from ....mechanics.runs.extended import Plant, held_input
+from ....mechanics.systems.drives import Force
+from ....mechanics.systems.statespace import hold_matrices
+from ....numerics.outcomes import RESULTS, ComputationError
+from ....numerics.programs.stored_programs import ONCE, stored
+from ....records import Record
+from ...equation_error.rows import around_samples
+from ...model.candidate import Data
+from ...screening.linearization import sampled_plant
 from .calls import Call, Simulator
 
 HIGHEST = 0.1

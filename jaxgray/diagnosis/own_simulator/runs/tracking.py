@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...numerics.matrices.bounded import bounded
-from ...records import Record
-from ..noise.whitening import white_part
+from ....numerics.matrices.bounded import bounded
+from ....records import Record
+from ...noise.whitening import white_part
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
 

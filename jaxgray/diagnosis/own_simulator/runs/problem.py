@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...mechanics.effects.base import AbstractForceEffect, AbstractOutputEffect, Term
-from ...mechanics.model import MechanicalModel
-from ...mechanics.runs.extended import changed_input, held_input, sensed
-from ...mechanics.systems.drives import Force
-from ...numerics.matrices.bounded import bounded
-from ...numerics.outcomes import RESULTS, ComputationError
-from ...records import Record
-from ..model.candidate import Candidate, Data
-from ..model.free_run import FreeRun, rms_of
+from ....mechanics.effects.base import AbstractForceEffect, AbstractOutputEffect, Term
+from ....mechanics.model import MechanicalModel
+from ....mechanics.runs.extended import changed_input, held_input, sensed
+from ....mechanics.systems.drives import Force
+from ....numerics.matrices.bounded import bounded
+from ....numerics.outcomes import RESULTS, ComputationError
+from ....records import Record
+from ...model.candidate import Candidate, Data
+from ...model.free_run import FreeRun, rms_of
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ...numerics.outcomes import RESULTS, ComputationError
+from ....numerics.outcomes import RESULTS, ComputationError
 
 Simulation = Callable[[np.ndarray, np.ndarray, dict[str, float]], np.ndarray]
 """y = f(u, w, θ): inputs (samples × inputs), forces at the coordinates of the outputs (samples × outputs), numbers by

@@ -13,11 +13,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...mechanics.effects.base import AbstractForceEffect, Place, Term
-from ...mechanics.systems.step_rows import Plant
-from ...numerics.matrices.bounded import bounded
-from ..model import simulator as free_run
-from ..model.candidate import Candidate, Data, Setup, of_record
+from ....mechanics.effects.base import AbstractForceEffect, Place, Term
+from ....mechanics.systems.step_rows import Plant
+from ....numerics.matrices.bounded import bounded
+from ...model import simulator as free_run
+from ...model.candidate import Candidate, Data, Setup, of_record
 from .linearized import moved_from_rest, over_samples, sampled_over_time
 
 STEP = 1e-3

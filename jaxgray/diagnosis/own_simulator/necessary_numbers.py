@@ -1,0 +1,201 @@
+"""The fewest of a simulator's numbers that have to be other, and which of them stand for one another.
+
+A record may determine a sum of two numbers (the damping on either side of a stiff gear) far better than each of them:
+none of the two is off for sure, though one of them is. So numbers go back to what they were given as, one after the
+other, the one first that the record misses least, until every further one would be missed; the rest of the fit moves
+along, to first order. The last ones are asked of the simulator itself: what it leaves with a number as it was given,
+and what it gains on held-out data by moving it. Where another number serves in the place of one as well, this record
+does not tell them apart.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...identification.refinement.conic import pseudo_inverse
+from .. import settings
+from ..acceptance import unproven
+from ..findings import Gain
+from ..model.parameter_vector import Layout
+from .runs.problem import Outputs, Problem
+from .settling import Settled, left_by, shown_by
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A number that has to be other: which (`k`), the `evidence` that it has, `value` and `error` in its unit of the
+    entries, others that serve in its place, and what moving it gains (None where the simulator was not asked)."""
+
+    k: int
+    evidence: float
+    value: float
+    error: float
+    rivals: tuple["Moved", ...] = ()
+    gain: Gain | None = None
+
+
+@dataclass(frozen=True)
+class Necessary:
+    """What is `settled` with no more numbers `moved` than have to be; and for every number its entry (`values`) and
+    error beside those, 0 of one that the record does not determine."""
+
+    settled: Settled
+    moved: tuple[Moved, ...]
+    values: Float[np.ndarray, " numbers"]
+    errors: Float[np.ndarray, " numbers"]
+
+
+class _Ellipsoid:
+    """The sum of squares about a fit, to second order, with some entries as they were given."""
+
+    def __init__(self, settled: Settled, start: Float[np.ndarray, " numbers"], samples: int):
+        self.layout = Layout(settled.linear.setup, settled.candidate)
+        self.theta, self.covariance = self.layout.vector(settled.candidate), settled.fit.covariance
+        self.start, self.off, self.count = start, self.theta[: len(start)] - start, len(start)
+        self.samples, self.penalty = samples, float(np.log(samples))
+        self.known = (np.diag(self.covariance)[: self.count] > 0) & ~settled.fit.undetermined[: self.count]
+
+    def cost(self, free: Bool[np.ndarray, " numbers"]) -> float:
+        """What it costs that all other numbers are as they were given; infinite where free ones surely change their
+        sign."""
+        theta, covariance = self.conditional(free)
+        if np.any(theta[: self.count] < -np.sqrt(np.maximum(np.diag(covariance)[: self.count], 0.0))):
+            return np.inf
+        at = self._given(free)
+        return float(self.off[at] @ pseudo_inverse(self.covariance[np.ix_(at, at)]) @ self.off[at])
+
+    def conditional(self, free: Bool[np.ndarray, " numbers"]) -> tuple[np.ndarray, np.ndarray]:
+        """All parameters, and their covariance, where only some numbers are free."""
+        at = self._given(free)
+        across = self.covariance[:, at] @ pseudo_inverse(self.covariance[np.ix_(at, at)])
+        theta = self.theta - across @ self.off[at]
+        theta[at] = self.start[at]
+        covariance = self.covariance - across @ self.covariance[at]
+        covariance[at] = covariance[:, at] = 0.0
+        return theta, covariance
+
+    def free_only(self) -> Bool[np.ndarray, " numbers"]:
+        """The numbers that a record misses where they are as they were given."""
+        free, gate = self.known.copy(), self.penalty + settings.MIN_DELTA_BIC
+        while free.any():
+            costs = {k: self.cost(_without(free, k)) for k in np.flatnonzero(free)}
+            least = min(costs, key=costs.__getitem__)
+            if costs[least] - self.cost(free) >= gate:
+                break
+            free[least] = False
+        for k in np.flatnonzero(free):
+            swapped = [free, *(other for _, other in self._swapped(free, k))]
+            free = min(swapped, key=self.cost)
+        return free
+
+    def moved(self, free: Bool[np.ndarray, " numbers"], k: int) -> Moved:
+        """A number of those that are free, with no rivals."""
+        theta, covariance = self.conditional(free)
+        evidence = self.cost(_without(free, k)) - self.cost(free) - self.penalty
+        return Moved(int(k), evidence, float(theta[k]), float(np.sqrt(max(covariance[k, k], 0.0))))
+
+    def rivals(self, free: Bool[np.ndarray, " numbers"], k: int) -> tuple[Moved, ...]:
+        """Numbers that serve in the place of one, the best first."""
+        most = self.cost(free) + settings.CLASS_DELTA_BIC
+        near = [(self.cost(other), j, other) for j, other in self._swapped(free, k) if self.cost(other) < most]
+        return tuple(self.moved(other, j) for _, j, other in sorted(near, key=lambda one: one[:2]))
+
+    def _swapped(self, free: Bool[np.ndarray, " numbers"], k: int) -> list[tuple[int, np.ndarray]]:
+        """Every number that could be free in the place of one, and which are free then."""
+        others = np.flatnonzero(self.known & ~free)
+        return [(int(j), _without(free, k) | (np.arange(self.count) == j)) for j in others]
+
+    def _given(self, free: Bool[np.ndarray, " numbers"]) -> np.ndarray:
+        return np.flatnonzero(self.known & ~free)
+
+
+def necessary(
+    problem: Problem,
+    settled: Settled,
+    start: Float[np.ndarray, " numbers"],
+    samples: int,
+    gain: Callable[[Outputs, Outputs], Gain] | None,
+) -> Necessary:
+    """What is settled, with the numbers that need not be other as they were given.
+
+    **Arguments:** `problem`; `settled`; `start`: the numbers as they were given; `samples` of the fit; `gain` from one
+    run to another, None where something is left unexplained: numbers make up for it and errors say little, so that all
+    stay as they were fitted. So they do where the simulator itself misses those that went back.
+    """
+    about = _Ellipsoid(settled, start, samples)
+    fewer = None if gain is None else _Fewer(problem, settled, about, gain).found()
+    if fewer is None:
+        errors = np.where(about.known, np.sqrt(np.maximum(np.diag(about.covariance)[: about.count], 0.0)), 0.0)
+        sizes = np.where(errors > 0, np.abs(about.off) / np.where(errors > 0, errors, 1.0), 0.0)
+        clear = np.flatnonzero(sizes**2 - about.penalty >= settings.MIN_DELTA_BIC)
+        entries = settled.candidate.entries
+        moved = (Moved(int(k), float(sizes[k] ** 2 - about.penalty), entries[k], errors[k]) for k in clear)
+        return Necessary(settled, tuple(moved), entries, errors)
+    shown, free, gains = fewer
+    values, errors = start.copy(), np.zeros(about.count)
+    for k in np.flatnonzero(about.known):
+        theta, covariance = about.conditional(free | (np.arange(about.count) == k))
+        values[k], errors[k] = max(theta[k], 0.0), np.sqrt(max(covariance[k, k], 0.0))
+    moved = (
+        dataclasses.replace(about.moved(free, k), rivals=about.rivals(free, k), gain=gains[k])
+        for k in np.flatnonzero(free)
+    )
+    return Necessary(shown, tuple(moved), values, errors)
+
+
+@dataclass(frozen=True)
+class _Fewer:
+    """A search for the numbers that the simulator itself misses."""
+
+    problem: Problem
+    settled: Settled
+    about: _Ellipsoid
+    gain: Callable[[Outputs, Outputs], Gain]
+
+    def found(self) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict[int, Gain | None]] | None:
+        """What is settled with them, which they are, and what each gains; None where runs with few numbers leave more
+        than they are worth."""
+        free = self.about.free_only()
+        shown = self._with(free)
+        worth = float(np.sum(self.about.known & ~free)) * (self.about.penalty + settings.MIN_DELTA_BIC)
+        if shown is None or not self._left(shown, self.settled) <= worth:
+            return None
+        gains: dict[int, Gain | None] = {}
+        while len(gains) < free.sum():
+            gains = {}
+            for k in sorted(np.flatnonzero(free), key=lambda k: self.about.moved(free, k).evidence):
+                other = self._with(_without(free, k))
+                gains[k] = None if other is None else self.gain(other.y, shown.y)
+                if other is not None and not self._missed(other, shown, gains[k]):
+                    free, shown = _without(free, k), other
+                    break
+        return shown, free, gains
+
+    def _missed(self, without: Settled, shown: Settled, gain: Gain) -> bool:
+        """Whether runs without a number leave surely more."""
+        evidence = self._left(without, shown) - self.about.penalty
+        return evidence >= settings.MIN_DELTA_BIC and unproven(gain) is None
+
+    def _left(self, one: Settled, other: Settled) -> float:
+        """How much more runs leave than others, in units of the noise variance."""
+        return self.about.samples * (left_by(self.problem, one.y) - left_by(self.problem, other.y))
+
+    def _with(self, free: Bool[np.ndarray, " numbers"]) -> Settled | None:
+        """What is settled with only some numbers moved; None where the simulator does not run so."""
+        about, candidate = self.about, self.settled.candidate
+        theta, covariance = about.conditional(free)
+        vector = about.layout.moved(about.theta, theta - about.theta, candidate)
+        vector[: about.count] = np.maximum(vector[: about.count], 0.0)
+        candidate = about.layout.candidate(vector, candidate)
+        y = shown_by(self.problem, self.settled, candidate)
+        if y is None:
+            return None
+        fit = dataclasses.replace(self.settled.fit, candidate=candidate, covariance=covariance)
+        return dataclasses.replace(self.settled, candidate=candidate, fit=fit, y=y)
+
+
+def _without(free: Bool[np.ndarray, " numbers"], k: int) -> Bool[np.ndarray, " numbers"]:
+    return free & (np.arange(len(free)) != k)
