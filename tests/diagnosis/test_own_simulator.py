@@ -64,6 +64,30 @@ def test_wrong_numbers_alone_are_said_to_be_that():
     assert within([shift for shift in found.shifts if shift.name != "friction"])
 
 
+def test_numbers_of_which_only_a_sum_is_known_stand_for_one_another():
+    rng = np.random.default_rng(5)
+    u = pendulum.torque(SAMPLES, rng)
+    q = pendulum.run(u)
+    record = jaxgray.Record(u, q + 0.003 * q.std() * rng.standard_normal(SAMPLES), H)
+
+    def simulator(u, w, numbers):
+        parts = dict(numbers)
+        damping = parts.pop("bearing") + parts.pop("seal")
+        return pendulum.simulator(u, w, {"inertia": parts["inertia"], "damping": damping} | parts)
+
+    numbers = {name: value for name, value in pendulum.TRUTH.items() if name != "damping"}
+    numbers |= {"bearing": 0.05, "seal": 0.02}
+    found = jaxgray.diagnose(record, simulator=simulator, parameters=numbers, only="coulomb_friction")
+    (finding,) = found.findings
+    assert found.verdict == finding.status == "equivalent" and found.excess < 1.05
+    # One of the two takes all of it, where the other is as it was given; what need not be other stays.
+    values = {member.location: member.parameters["value"] for member in finding.members}
+    assert values.keys() == {"bearing", "seal"} and "this record cannot tell which" in found.sentence
+    assert abs(values["bearing"].value - 0.06) < 5e-5 and abs(values["seal"].value - 0.03) < 5e-5
+    assert all(one.standard_error < 5e-5 for one in values.values())
+    assert found.gain.percent > 95 and abs(found.curves[0].extended[:, 0] - q[:1050]).max() < 0.01 * q.std()
+
+
 def test_a_budget_ends_the_search_and_is_said():
     record, numbers = measured(pendulum.cubic, 0.2)
     found = jaxgray.diagnose(

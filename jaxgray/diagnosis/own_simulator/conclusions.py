@@ -207,8 +207,7 @@ def _wrong(problem: Problem, numbers: Necessary, start: np.ndarray, gain: Gain) 
             value, error = float(number.value * problem.units[number.k]), float(number.error * unit)
             delta = value - float(start[number.k] * problem.units[number.k])
             parameters = {"delta": Estimate(delta, error, ""), "value": Estimate(value, error, "")}
-            behind = float(number.evidence - one.evidence)
-            members.append(Member("parameter_error", problem.simulator.names[number.k], behind, parameters))
+            members.append(Member("parameter_error", problem.simulator.names[number.k], -number.behind, parameters))
         status = "named" if len(members) == 1 else "equivalent"
         what = "parameter_error", members[0].location, status, "model"
         found.append(Finding(*what, tuple(members), members[0].parameters, one.evidence, one.gain or gain))

@@ -19,15 +19,20 @@ from ...identification.refinement.conic import pseudo_inverse
 from .. import settings
 from ..acceptance import unproven
 from ..findings import Gain
+from ..model.free_run import rms_of
 from ..model.parameter_vector import Layout
-from .runs.problem import Outputs, Problem
+from .runs.problem import Outputs, Problem, parts_of
 from .settling import Settled, left_by, shown_by
+
+CORRECTIONS = 2
+"""Gauss-Newton steps in which the rest of a fit comes to where it is best beside numbers as they were given."""
 
 
 @dataclass(frozen=True)
 class Moved:
     """A number that has to be other: which (`k`), the `evidence` that it has, `value` and `error` in its unit of the
-    entries, others that serve in its place, and what moving it gains (None where the simulator was not asked)."""
+    entries, others that serve in its place and how far they are `behind`, and what moving it gains (None where the
+    simulator was not asked)."""
 
     k: int
     evidence: float
@@ -35,6 +40,7 @@ class Moved:
     error: float
     rivals: tuple["Moved", ...] = ()
     gain: Gain | None = None
+    behind: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -87,23 +93,17 @@ class _Ellipsoid:
                 break
             free[least] = False
         for k in np.flatnonzero(free):
-            swapped = [free, *(other for _, other in self._swapped(free, k))]
+            swapped = [free, *(other for _, other in self.swapped(free, k))]
             free = min(swapped, key=self.cost)
         return free
 
     def moved(self, free: Bool[np.ndarray, " numbers"], k: int) -> Moved:
-        """A number of those that are free, with no rivals."""
+        """A number of those that are free."""
         theta, covariance = self.conditional(free)
         evidence = self.cost(_without(free, k)) - self.cost(free) - self.penalty
         return Moved(int(k), evidence, float(theta[k]), float(np.sqrt(max(covariance[k, k], 0.0))))
 
-    def rivals(self, free: Bool[np.ndarray, " numbers"], k: int) -> tuple[Moved, ...]:
-        """Numbers that serve in the place of one, the best first."""
-        most = self.cost(free) + settings.CLASS_DELTA_BIC
-        near = [(self.cost(other), j, other) for j, other in self._swapped(free, k) if self.cost(other) < most]
-        return tuple(self.moved(other, j) for _, j, other in sorted(near, key=lambda one: one[:2]))
-
-    def _swapped(self, free: Bool[np.ndarray, " numbers"], k: int) -> list[tuple[int, np.ndarray]]:
+    def swapped(self, free: Bool[np.ndarray, " numbers"], k: int) -> list[tuple[int, np.ndarray]]:
         """Every number that could be free in the place of one, and which are free then."""
         others = np.flatnonzero(self.known & ~free)
         return [(int(j), _without(free, k) | (np.arange(self.count) == j)) for j in others]
@@ -134,13 +134,14 @@ def necessary(
         entries = settled.candidate.entries
         moved = (Moved(int(k), float(sizes[k] ** 2 - about.penalty), entries[k], errors[k]) for k in clear)
         return Necessary(settled, tuple(moved), entries, errors)
-    shown, free, gains = fewer
+    shown, free, gains, rivals = fewer
     values, errors = start.copy(), np.zeros(about.count)
     for k in np.flatnonzero(about.known):
         theta, covariance = about.conditional(free | (np.arange(about.count) == k))
         values[k], errors[k] = max(theta[k], 0.0), np.sqrt(max(covariance[k, k], 0.0))
+    values[free] = shown.candidate.entries[free]
     moved = (
-        dataclasses.replace(about.moved(free, k), rivals=about.rivals(free, k), gain=gains[k])
+        dataclasses.replace(about.moved(free, k), value=float(values[k]), rivals=rivals[k], gain=gains[k])
         for k in np.flatnonzero(free)
     )
     return Necessary(shown, tuple(moved), values, errors)
@@ -155,9 +156,9 @@ class _Fewer:
     about: _Ellipsoid
     gain: Callable[[Outputs, Outputs], Gain]
 
-    def found(self) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict[int, Gain | None]] | None:
-        """What is settled with them, which they are, and what each gains; None where runs with few numbers leave more
-        than they are worth."""
+    def found(self) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict, dict] | None:
+        """What is settled with them, which they are, what each gains and which others serve in its place; None where
+        runs with few numbers leave more than they are worth."""
         free = self.about.free_only()
         shown = self._with(free)
         worth = float(np.sum(self.about.known & ~free)) * (self.about.penalty + settings.MIN_DELTA_BIC)
@@ -172,7 +173,20 @@ class _Fewer:
                 if other is not None and not self._missed(other, shown, gains[k]):
                     free, shown = _without(free, k), other
                     break
-        return shown, free, gains
+        return shown, free, gains, {k: self._rivals(shown, free, k) for k in np.flatnonzero(free)}
+
+    def _rivals(self, shown: Settled, free: Bool[np.ndarray, " numbers"], k: int) -> tuple[Moved, ...]:
+        """Numbers that serve in the place of one in the simulator itself, the best first. Of two that do the same the
+        slopes differ by their rounding alone, in which there is no information."""
+        near = {}
+        for j, other in self.about.swapped(free, k):
+            if self.about.cost(other) - self.about.cost(free) < settings.CLEAR_DELTA_BIC:
+                there = self._with(other)
+                behind = np.inf if there is None else self._left(there, shown)
+                if behind < settings.CLASS_DELTA_BIC:
+                    one, value = self.about.moved(other, j), float(there.candidate.entries[j])
+                    near[j] = behind, dataclasses.replace(one, value=value, behind=max(behind, 0.0))
+        return tuple(one for _, one in sorted(near.values(), key=lambda one: one[0]))
 
     def _missed(self, without: Settled, shown: Settled, gain: Gain) -> bool:
         """Whether runs without a number leave surely more."""
@@ -185,9 +199,30 @@ class _Fewer:
 
     def _with(self, free: Bool[np.ndarray, " numbers"]) -> Settled | None:
         """What is settled with only some numbers moved; None where the simulator does not run so."""
+        theta, covariance = self.about.conditional(free)
+        step = theta - self.about.theta
+        best = self._moved(step, covariance)
+        for _ in range(CORRECTIONS):
+            if best is None or (left := self._left(best, self.settled)) < 1.0:
+                break
+            slope = self._slope(best.y)
+            further = covariance @ slope
+            ahead = self._moved(step + further, covariance)
+            # Where the slopes foretell little, the least of a parabola through both runs along the first one's slope.
+            fall = float(slope @ further)
+            bend = np.inf if ahead is None else self._left(ahead, best) + 2 * fall
+            if not bend <= fall and bend > 0.0:
+                further = further * (fall / bend if np.isfinite(bend) else 0.1)
+                ahead = self._moved(step + further, covariance)
+            if ahead is None or not self._left(ahead, self.settled) < left:
+                break
+            best, step = ahead, step + further
+        return best
+
+    def _moved(self, step: Float[np.ndarray, " parameters"], covariance: np.ndarray) -> Settled | None:
+        """What is settled after a step from it."""
         about, candidate = self.about, self.settled.candidate
-        theta, covariance = about.conditional(free)
-        vector = about.layout.moved(about.theta, theta - about.theta, candidate)
+        vector = about.layout.moved(about.theta, step, candidate)
         vector[: about.count] = np.maximum(vector[: about.count], 0.0)
         candidate = about.layout.candidate(vector, candidate)
         y = shown_by(self.problem, self.settled, candidate)
@@ -195,6 +230,16 @@ class _Fewer:
             return None
         fit = dataclasses.replace(self.settled.fit, candidate=candidate, covariance=covariance)
         return dataclasses.replace(self.settled, candidate=candidate, fit=fit, y=y)
+
+    def _slope(self, y: Outputs) -> Float[np.ndarray, " parameters"]:
+        """Slope of the sum of squares that runs leave, in units of the noise variance, by all parameters."""
+        fit, g = self.settled.fit, 0.0
+        parts = parts_of(self.problem, y)[0]
+        scale = rms_of(parts_of(self.problem, self.settled.y)[0])
+        for record, (part, J) in enumerate(zip(parts, fit.jacobian)):
+            J = self.about.layout.widened(J, record)[: len(part.e)]
+            g = g + np.einsum("noj,no->j", J / scale[:, None], part.e / scale)
+        return g
 
 
 def _without(free: Bool[np.ndarray, " numbers"], k: int) -> Bool[np.ndarray, " numbers"]:
