@@ -1,5 +1,6 @@
 """Set-up that every test needs: 64-bit floats, compilations shared by all workers."""
 
+import contextlib
 import gc
 import os
 import pathlib
@@ -60,8 +61,10 @@ def pytest_sessionstart(session):
         return
     changed = max(path.stat().st_mtime for path in pathlib.Path(jaxgray.__file__).parent.rglob("*.py"))
     for path in pathlib.Path(os.environ["JAX_COMPILATION_CACHE_DIR"], FOLDER).glob("*"):
-        if path.is_file() and path.stat().st_mtime < changed:
-            path.unlink(missing_ok=True)
+        # Another session on this machine may have removed it meanwhile.
+        with contextlib.suppress(FileNotFoundError):
+            if path.is_file() and path.stat().st_mtime < changed:
+                path.unlink()
 
 
 def pytest_collection_modifyitems(items):

@@ -199,7 +199,7 @@ def _wrong(problem: Problem, numbers: Necessary, start: np.ndarray, gain: Gain) 
     """Findings of the numbers that have to be other, where their correction surely gains: `gain` of all together."""
     if unproven(gain) is not None:
         return []
-    found = []
+    found, shared = [], dataclasses.replace(gain, together=len(numbers.moved))
     for one in numbers.moved:
         members = []
         for number in (one, *one.rivals):
@@ -210,7 +210,7 @@ def _wrong(problem: Problem, numbers: Necessary, start: np.ndarray, gain: Gain) 
             members.append(Member("parameter_error", problem.simulator.names[number.k], -number.behind, parameters))
         status = "named" if len(members) == 1 else "equivalent"
         what = "parameter_error", members[0].location, status, "model"
-        found.append(Finding(*what, tuple(members), members[0].parameters, one.evidence, one.gain or gain))
+        found.append(Finding(*what, tuple(members), members[0].parameters, one.evidence, one.gain or shared))
     return found
 
 

@@ -141,7 +141,7 @@ def necessary(
         values[k], errors[k] = max(theta[k], 0.0), np.sqrt(max(covariance[k, k], 0.0))
     values[free] = shown.candidate.entries[free]
     moved = (
-        dataclasses.replace(about.moved(free, k), value=float(values[k]), rivals=rivals[k], gain=gains[k])
+        dataclasses.replace(about.moved(free, k), value=float(values[k]), rivals=rivals[k], gain=gains.get(k))
         for k in np.flatnonzero(free)
     )
     return Necessary(shown, tuple(moved), values, errors)
@@ -160,20 +160,25 @@ class _Fewer:
         """What is settled with them, which they are, what each gains and which others serve in its place; None where
         runs with few numbers leave more than they are worth."""
         free = self.about.free_only()
-        shown = self._with(free)
+        shown = self._with(free) if np.any(self.about.known & ~free) else self.settled
         worth = float(np.sum(self.about.known & ~free)) * (self.about.penalty + settings.MIN_DELTA_BIC)
         if shown is None or not self._left(shown, self.settled) <= worth:
             return None
-        gains: dict[int, Gain | None] = {}
-        while len(gains) < free.sum():
-            gains = {}
-            for k in sorted(np.flatnonzero(free), key=lambda k: self.about.moved(free, k).evidence):
+        needless = True
+        while needless:
+            gains, needless = {}, False
+            for k in self._doubtful(free):
                 other = self._with(_without(free, k))
                 gains[k] = None if other is None else self.gain(other.y, shown.y)
-                if other is not None and not self._missed(other, shown, gains[k]):
+                if needless := other is not None and not self._missed(other, shown, gains[k]):
                     free, shown = _without(free, k), other
                     break
         return shown, free, gains, {k: self._rivals(shown, free, k) for k in np.flatnonzero(free)}
+
+    def _doubtful(self, free: Bool[np.ndarray, " numbers"]) -> list[int]:
+        """Numbers of which the simulator is asked whether they have to be other, those with least evidence first."""
+        evidence = {int(k): self.about.moved(free, k).evidence for k in np.flatnonzero(free)}
+        return sorted((k for k in evidence if evidence[k] < settings.CLEAR_DELTA_BIC), key=evidence.__getitem__)
 
     def _rivals(self, shown: Settled, free: Bool[np.ndarray, " numbers"], k: int) -> tuple[Moved, ...]:
         """Numbers that serve in the place of one in the simulator itself, the best first. Of two that do the same the
