@@ -294,6 +294,11 @@ class Simulator:
         before, by_terms = J[:, :, :first], J[:, :, first:]
         return y, np.concatenate([before, by_terms[:, :, mine]], axis=2), by_terms[:, :, own]
 
+    def _inputs_by_entry(self, data: Data) -> tuple | None:
+        """By how much the entries change the inputs at start and end of every sample and, where they are seen, at the
+        samples; None where they change the plant."""
+        return None
+
     def _run_and_jacobian(self, candidate: Candidate, data: Data, record: int) -> tuple[np.ndarray, np.ndarray]:
         acting = of_record(candidate, record)
         if not all(acting):
@@ -320,13 +325,18 @@ class Simulator:
             return (M, D, K, zero["x0"] if x0 is None else x0, zero["slots"] if slots is None else slots)
 
         dM, dD, dK = (np.asarray(d) for d in dplant)
-        for k in range(entries):
-            columns.append(column((dM[..., k], dD[..., k], dK[..., k])))
+        order: list[tuple[str, int]] = []
+        by_entry = self._inputs_by_entry(data)
+        if by_entry is None:
+            columns += [column((dM[..., k], dD[..., k], dK[..., k])) for k in range(entries)]
+            order += [("plant", k) for k in range(entries)]
+        else:
+            order += [("series", k) for k in range(entries)]
         for k in range(2 * dofs):
             unit = np.zeros(2 * total)
             unit[k if k < dofs else total + k - dofs] = 1.0
+            order.append(("plant", len(columns)))
             columns.append(column(x0=unit))
-        order: list[tuple[str, int]] = [("plant", k) for k in range(len(columns))]
         at = {"matrix": entries, "input": 0, "output": 0, "slot": 0}
         for term in candidate.terms:
             count = len(term.effect.parameters)
@@ -341,8 +351,8 @@ class Simulator:
                     columns.append(column(slots=unit))
                     order.append(("plant", len(columns) - 1))
                 elif isinstance(term.effect, AbstractInputEffect):
+                    order.append(("series", len(series) + (0 if by_entry is None else entries)))
                     series.append(at["input"] + j)
-                    order.append(("series", len(series) - 1))
                 else:
                     order.append(("output", at["output"] + j))
             if isinstance(term.effect, AbstractMatrixEffect):
@@ -372,11 +382,14 @@ class Simulator:
             count = len(columns) - sum(len(estimated(term)) for term in forces) + slots.values.size
         y, J = derivative(columns, (), count)
         parts = [np.asarray(J)[:, :outputs, : len(columns)]]
+        changes = [] if by_entry is None else [by_entry]
         if series:
-            changes = [None if d is None else np.moveaxis(np.asarray(d)[..., series], -1, 0) for d in dinput]
-            still = [column() for _ in series]
-            _, J = derivative(still, changes, _rounded(len(series)))
-            parts.append(np.asarray(J)[:, :outputs, : len(series)])
+            changes.append([None if d is None else np.moveaxis(np.asarray(d)[..., series], -1, 0) for d in dinput])
+        if changes:
+            along = [None if any(d is None for d in one) else np.concatenate(one) for one in zip(*changes)]
+            still = [column() for _ in along[0]]
+            _, J = derivative(still, along, _rounded(len(still)))
+            parts.append(np.asarray(J)[:, :outputs, : len(still)])
         y, J = np.asarray(y)[:, :outputs], np.concatenate(parts, axis=2)
         terms = _only(candidate.terms, AbstractOutputEffect)
         extra = None

@@ -14,14 +14,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ....mechanics.effects.base import AbstractForceEffect, Place, Term
+from ....mechanics.runs.extended import held_input
 from ....mechanics.systems.step_rows import Plant
 from ....numerics.matrices.bounded import bounded
 from ...model import simulator as free_run
 from ...model.candidate import Candidate, Data, Setup, of_record
 from .linearized import moved_from_rest, over_samples, sampled_over_time
-
-STEP = 1e-3
-"""Step of an entry for its derivative: next to no curvature, far above rounding."""
 
 
 class StiffnessOverTime(AbstractForceEffect):
@@ -118,12 +116,15 @@ class NumbersSimulator(free_run.Simulator):
         if not all(of_record(candidate, record)):
             # Made of what acts alone, by this very function.
             return super()._run_and_jacobian(candidate, data, record)
-        y, J = super()._run_and_jacobian(candidate, self._moved(candidate.entries, data), record)
-        J = np.array(J)
-        for k, step in enumerate(STEP * np.eye(len(candidate.entries))):
-            there = self._outputs(candidate, self._moved(candidate.entries + step, data), record)
-            J[:, :, k] = (there - y) / STEP
-        return y, J
+        return super()._run_and_jacobian(candidate, self._moved(candidate.entries, data), record)
+
+    def _inputs_by_entry(self, data: Data):
+        dofs, count = self.setup.dofs, len(self.setup.here)
+        first = data.u.shape[1] - (count + 1) * dofs
+        change = np.zeros((count, *data.u.shape))
+        change[:, :, first : first + dofs] = -np.moveaxis(data.u[:, first + dofs :].reshape(-1, count, dofs), 1, 0)
+        starts, ends = zip(*(held_input(one, data.hold) for one in change))
+        return np.stack(starts), np.stack(ends), None
 
     def answered(self, plant: Plant, responses: Float[np.ndarray, "columns samples outputs"], data: Data):
         stiffness, damping = self._over_time(data)
