@@ -94,7 +94,6 @@ class Move(enum.Enum):
     STATIC_GAIN = "static gain"
     HIDDEN_MODE = "line of the residual"
     WHITE_NOISE = "free run under white noise"
-    KNOWN_SHAPE = "amplitude beside its known shape"
     WITH_ANOTHER = "together with a later one"
     IN_ITS_PLACE = "in the place of another"
 

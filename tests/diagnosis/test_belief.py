@@ -10,47 +10,17 @@ import jaxgray
 from jaxgray.diagnosis.conclusions.assembly import picked_up
 from jaxgray.diagnosis.estimation.gauss_newton import refit
 from jaxgray.diagnosis.estimation.significance import significance
-from jaxgray.diagnosis.findings import Reason, Rejected
 from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.model.parameter_vector import Layout
 from jaxgray.diagnosis.model.simulator import Simulator
 from jaxgray.diagnosis.noise.whitening import white_noise_model
 from jaxgray.diagnosis.screening.linearization import stage_of
-from jaxgray.diagnosis.search.forward import _class_of, _unsure
-from jaxgray.diagnosis.settings import MIN_STANDARD_ERRORS
+from jaxgray.diagnosis.search.forward import _class_of
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
 
 HUM = ("periodic_disturbance", "y2")
-
-
-def fitted(values, *, alike=0.0):
-    """A refit of a sine-shaped spring beside three other parameters, its size and length moving together."""
-    rows = np.random.default_rng(4).standard_normal((5, 40))
-    rows[4] = alike * rows[3] + (1.0 - alike) * rows[4]
-    information = rows @ rows.T
-    term = Term(by_id("sine_stiffness"), Place("y1", 0), np.array(values))
-    fit = SimpleNamespace(
-        candidate=SimpleNamespace(terms=(term,)),
-        covariance=np.linalg.inv(information),
-        undetermined_alone=np.zeros(5, bool),
-    )
-    return information, fit, SimpleNamespace(first=3, terms=[(0, 0), (0, 1)])
-
-
-def test_a_size_that_its_shape_moves_along_with_counts_by_its_error_beside_that_shape():
-    information, fit, layout = fitted([1.0, 2.0], alike=0.97)
-    # Beside a shape that is known: without its row and column in the curvature.
-    known = np.sqrt(np.linalg.inv(information[:4, :4])[3, 3])
-    assert significance(fit, layout, 0, given_shape=True) == pytest.approx(1.0 / known, rel=1e-9)
-    assert significance(fit, layout, 0) == pytest.approx(1.0 / np.sqrt(fit.covariance[3, 3]), rel=1e-9)
-    assert significance(fit, layout, 0) < MIN_STANDARD_ERRORS < significance(fit, layout, 0, given_shape=True)
-
-
-def test_a_size_that_is_nothing_does_not_count_whatever_is_known_of_its_shape():
-    _, fit, layout = fitted([0.01, 2.0], alike=0.97)
-    assert significance(fit, layout, 0, given_shape=True) < 1.0
 
 
 @pytest.mark.parametrize("touched, sure", [(1, False), (12, True)])
@@ -93,16 +63,6 @@ def test_what_is_refused_for_its_error_alone_stays_in_the_class_of_what_explains
         assert [rival.name[0] for rival in rivals] == ["cubic_stiffness"] * member and not refused
     (one,) = _class_of(context, sine, [attempt("cubic_stiffness", 0.0)])[1]
     assert one.why == "explained better by sine_stiffness at y1 (by 20)"
-
-
-def test_only_what_was_refused_for_its_error_alone_in_this_round_is_judged_again():
-    ranked = [attempt("cubic_stiffness", -25.0), attempt("sine_stiffness", -20.0), attempt("coulomb_friction", -20.0)]
-    earlier = Rejected("coulomb_friction", "y1", 20.0, "only 1.0 standard errors from nothing", reason=Reason.UNCERTAIN)
-    now = Rejected("sine_stiffness", "y1", 20.0, "only 1.8 standard errors from nothing", reason=Reason.UNCERTAIN)
-    other = Rejected("cubic_stiffness", "y1", 25.0, "no sure gain on held-out data", reason=Reason.NO_SURE_GAIN)
-    state = SimpleNamespace(rejected=[earlier, now, other])
-    assert [one.name[0] for one in _unsure(state, ranked, 1)] == ["sine_stiffness"]
-    assert state.rejected == [earlier, other]
 
 
 def test_a_periodic_force_is_said_to_look_like_hum_of_the_sensor():

@@ -33,21 +33,17 @@ def evidence(
     return float(e @ e - g @ pseudo_inverse(J.T @ J) @ g), count
 
 
-def significance(fit: Refit, layout: Layout, term: int, *, given_shape: bool = False) -> float:
+def significance(fit: Refit, layout: Layout, term: int) -> float:
     """How far the amplitudes of one term are from nothing, in standard errors: the largest |β|/se, or all of them
     together where laws with several share what they explain (Wald's statistic as a normal one, Wilson & Hilferty).
 
-    One amplitude that nothing determines, whatever M, D, K are, is none. `given_shape`: with the rest of its parameters
-    as they are. Nothing has no shape (Davies, Biometrika 74 (1987) 33-43): whether there is something at all, errors
-    that an amplitude has for its shape alone do not tell.
+    One amplitude that nothing determines, whatever M, D, K are, is none.
     """
-    at, values, shape = [], [], []
+    at, values = [], []
     for position, (k, j) in enumerate(layout.terms):
         if k == term and fit.candidate.terms[k].effect.parameters[j].amplitude:
             at.append(layout.first + position)
             values.append(float(fit.candidate.terms[k].values[j]))
-        elif k == term:
-            shape.append(layout.first + position)
     if not any(p.amplitude and p.counts for p in fit.candidate.terms[term].effect.parameters):
         return np.inf
     known = np.diag(fit.covariance)[at] > 0
@@ -56,9 +52,6 @@ def significance(fit: Refit, layout: Layout, term: int, *, given_shape: bool = F
         return 0.0
     at, values = np.array(at)[known], np.array(values)[known]
     covariance = fit.covariance[np.ix_(at, at)]
-    if given_shape and shape:
-        across = fit.covariance[np.ix_(at, shape)]
-        covariance = covariance - across @ pseudo_inverse(fit.covariance[np.ix_(shape, shape)]) @ across.T
     errors = np.sqrt(np.diag(covariance))
     scaled = values / errors
     best = float(np.max(np.abs(scaled)))

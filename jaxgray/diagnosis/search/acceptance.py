@@ -29,14 +29,12 @@ def floor_of(context: SearchContext, attempts: list[Attempt]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Evidence(AbstractEvidence):
-    """What the data of the fit say of an attempt. `floor`: noise per output, by which the excess is counted;
-    `given_shape`: with the errors that sizes have beside a shape that is known."""
+    """What the data of the fit say of an attempt. `floor`: noise per output, by which the excess is counted."""
 
     context: SearchContext
     state: SearchState
     attempt: Attempt
     floor: np.ndarray
-    given_shape: bool = False
 
     @property
     def delta_bic(self) -> float:
@@ -55,7 +53,7 @@ class Evidence(AbstractEvidence):
     def size(self):
         fit = self.attempt.fit
         layout = Layout(self.context.simulator.setup, fit.candidate)
-        return significance(fit, layout, len(fit.candidate.terms) - 1, given_shape=self.given_shape)
+        return significance(fit, layout, len(fit.candidate.terms) - 1)
 
     def explained(self):
         before, after = self.excess()
@@ -68,10 +66,9 @@ class Evidence(AbstractEvidence):
         return tuple(overall(residual_rms(e, data), self.floor) ** 2 for e in residuals)
 
 
-def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: np.ndarray, given_shape: bool = False):
-    """Why an attempt is refused (None if it is not), its gain, and its free runs on held-out data; `given_shape` as for
-    `Evidence`."""
-    evidence = Evidence(context, state, attempt, floor, given_shape)
+def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: np.ndarray):
+    """Why an attempt is refused (None if it is not), its gain, and its free runs on held-out data."""
+    evidence = Evidence(context, state, attempt, floor)
     why = unsound(evidence)
     if why is not None:
         return why, None, None

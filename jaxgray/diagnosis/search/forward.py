@@ -135,8 +135,6 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         free = under_white_noise(white, state, screening, closer, ranked)
         if _accepted(white, state, free, Move.WHITE_NOISE, least=least, most=1):
             return 1
-    if _accepted(context, state, _unsure(state, ranked, before), Move.KNOWN_SHAPE, given_shape=True):
-        return 1
     refuted = screening.fires and _refuted(context, state, ranked, searched)
     state.unexplained = screening.fires and not refuted
     # What is lent its place needs another round to redeem it.
@@ -205,13 +203,6 @@ def _judged(
     return [a for a in second if a.name in clear or not is_local(context, a.score.shape.effect)]
 
 
-def _unsure(state: SearchState, ranked: list[Attempt], since: int) -> list[Attempt]:
-    """Candidates that were refused in this round for the error of their size alone; they are no longer refused."""
-    names = {(one.effect, one.location) for one in state.rejected[since:] if one.reason is Reason.UNCERTAIN}
-    state.rejected[since:] = [one for one in state.rejected[since:] if one.reason is not Reason.UNCERTAIN]
-    return [attempt for attempt in ranked if attempt.name in names]
-
-
 def _accepted(
     context: SearchContext,
     state: SearchState,
@@ -220,22 +211,18 @@ def _accepted(
     *,
     least: float = -np.inf,
     most: int | None = None,
-    given_shape: bool = False,
 ) -> bool:
-    """Accept the best candidate that holds and surely gains `least` [%], among the first `most`; whether one did.
-
-    `given_shape`: with the errors that sizes have beside a shape that is known.
-    """
+    """Accept the best candidate that holds and surely gains `least` [%], among the first `most`; whether one did."""
     floor, unsure = floor_of(context, ranked), []
     judged = len(ranked) if most is None else most
     ranked = commonest_first(ranked[:judged], context.catalogue) + ranked[judged:]
     for k, attempt in enumerate(ranked[:judged]):
         context.progress.stage(f"judging {attempt.name[0]} at {attempt.name[1]}")
-        why, gain, runs = tested(context, state, attempt, floor, given_shape)
+        why, gain, runs = tested(context, state, attempt, floor)
         if why is not None and why.reason is Reason.WORSE:
             # Under noise at the forces a refit follows the record step by step: perhaps a free run can follow it, too.
             free = refit_for_free_run(context, state, attempt)
-            again, more, after = tested(context, state, free, floor, given_shape)
+            again, more, after = tested(context, state, free, floor)
             if again is None:
                 attempt, why, gain, runs = free, again, more, after
         if why is None and gain.ci99_lower < least:
