@@ -12,7 +12,7 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...identification.refinement.conic import pseudo_inverse, step_inside
 from ...numerics.matrices.positive import ClarabelSolver
@@ -48,10 +48,12 @@ DAMPINGS = 1e-3 * 10.0 ** np.arange(6)
 
 @dataclass(frozen=True)
 class Grown:
-    """`entries` that follow all data of the fit, the `runs` with them, and their slopes by every entry a span."""
+    """`entries` that follow all data of the fit, the `runs` with them, forces by which these were pushed into their
+    first states, a span, and slopes of the runs by every entry."""
 
     entries: Float[np.ndarray, " numbers"]
     runs: Runs
+    pushed: tuple[Float[np.ndarray, "samples dofs"], ...]
     slopes: tuple[Float[np.ndarray, "samples outputs numbers"], ...]
 
     def fit(self, problem: Problem, fit: Refit) -> Refit:
@@ -79,14 +81,15 @@ class Grown:
 
 @dataclass(frozen=True)
 class _Unknowns:
-    """What is fitted: a vector of the entries, then for every record of the fit the forces over its first samples (in
-    `units`) that lead to its first state, with which the simulator cannot begin."""
+    """What is fitted: a vector of the entries, of which some are `free`, then for every record of the fit the forces
+    over its first samples (in `units`) that lead to its first state, with which the simulator cannot begin."""
 
     problem: Problem
+    free: Bool[np.ndarray, " numbers"]
     units: tuple[Float[np.ndarray, "first dofs"], ...]
 
     @classmethod
-    def of(cls, problem: Problem, runs: Runs) -> "_Unknowns":
+    def of(cls, problem: Problem, runs: Runs, free: Bool[np.ndarray, " numbers"]) -> "_Unknowns":
         """With units by which every force moves a run by `MOVED` of it."""
         units = []
         for span, call, y in zip(problem.spans, runs.calls, runs.y):
@@ -100,7 +103,7 @@ class _Unknowns:
                 moved = 0.0 if made is None else float(np.sqrt(np.mean((made - y) ** 2))) / size
                 unit[k] = force * MOVED / moved if moved > 0.0 else 0.0
             units.append(unit)
-        return cls(problem, tuple(units))
+        return cls(problem, free, tuple(units))
 
     @property
     def count(self) -> int:
@@ -111,9 +114,15 @@ class _Unknowns:
         """The least of every unknown: numbers keep their sign."""
         return np.where(np.arange(size) < self.count, 0.0, -LARGEST)
 
-    def start(self, entries: Float[np.ndarray, " numbers"]) -> Float[np.ndarray, " unknowns"]:
-        """Some entries and no forces."""
-        return np.concatenate([entries, np.zeros(sum(unit.size for unit in self.units))])
+    def start(
+        self, entries: Float[np.ndarray, " numbers"], pushed: tuple[np.ndarray, ...]
+    ) -> Float[np.ndarray, " unknowns"]:
+        """Some entries, and forces of every span."""
+        forces = [
+            np.where(one > 0.0, w[: len(one)] / np.where(one > 0.0, one, 1.0), 0.0)
+            for one, w in zip(self.units, pushed)
+        ]
+        return np.concatenate([entries, *(one.ravel() for one in forces)])
 
     def calls(self, vector: Float[np.ndarray, " unknowns"]) -> list[Call]:
         """Calls with some values of the unknowns."""
@@ -124,13 +133,18 @@ class _Unknowns:
         return calls
 
     def slopes(self, runs: Runs, vector: Float[np.ndarray, " unknowns"]) -> tuple[np.ndarray, ...] | None:
-        """By how much the outputs of every span change with every unknown; None where a run fails."""
-        moved = [self.calls(vector + CHANGE * unit) for unit in np.eye(len(vector))]
+        """By how much the outputs of every span change with every unknown, nothing with those that are not free; None
+        where a run fails."""
+        moving = np.concatenate([self.free, np.ones(len(vector) - self.count, bool)])
+        moved = [self.calls(vector + CHANGE * unit) for unit in np.eye(len(vector))[moving]]
         made = self.problem.simulator.runs([call for calls in moved for call in calls])
         if any(isinstance(one, Failure) for one in made):
             return None
         spans = len(self.problem.spans)
-        return tuple(np.stack([(one - y) / CHANGE for one in made[k::spans]], axis=2) for k, y in enumerate(runs.y))
+        slopes = tuple(np.zeros((*y.shape, len(vector))) for y in runs.y)
+        for k, (y, S) in enumerate(zip(runs.y, slopes)):
+            S[:, :, moving] = np.stack([(one - y) / CHANGE for one in made[k::spans]], axis=2)
+        return slopes
 
     def down(
         self, runs: Runs, vector: Float[np.ndarray, " unknowns"], slopes: tuple[np.ndarray, ...], share: float
@@ -161,12 +175,28 @@ class _Unknowns:
 
 def grown(problem: Problem, entries: Float[np.ndarray, " numbers"]) -> Grown | None:
     """Numbers, from some entries on, that alone explain the data of the fit but for noise; None where none do."""
-    runs, slopes = problem.tried(problem.called(entries)), None
+    return _grown(problem, entries, np.ones(len(entries), bool), (), SHARES)
+
+
+def sharpened(
+    problem: Problem,
+    entries: Float[np.ndarray, " numbers"],
+    free: Bool[np.ndarray, " numbers"],
+    pushed: tuple[Float[np.ndarray, "samples dofs"], ...],
+) -> Grown | None:
+    """The same from where runs follow all data of the fit already, for some of the numbers."""
+    return _grown(problem, entries, free, pushed, SHARES[-1:])
+
+
+def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], shares: tuple[float, ...]) -> Grown | None:
+    calls = problem.called(entries)
+    pushed = pushed or tuple(call.w for call in calls)
+    runs, slopes = problem.tried([dataclasses.replace(call, w=w) for call, w in zip(calls, pushed)]), None
     if runs is None:
         return None
-    unknowns = _Unknowns.of(problem, runs)
-    vector = unknowns.start(entries)
-    for share in SHARES:
+    unknowns = _Unknowns.of(problem, runs, free)
+    vector = unknowns.start(entries, pushed)
+    for share in shares:
         for _ in range(TURNS):
             if (slopes := unknowns.slopes(runs, vector)) is None:
                 return None
@@ -181,8 +211,9 @@ def grown(problem: Problem, entries: Float[np.ndarray, " numbers"]) -> Grown | N
             return None
     count = unknowns.count
     # A first state is none of the forces that the simulator was given.
+    pushed = tuple(call.w for call in runs.calls)
     runs = dataclasses.replace(runs, calls=tuple(problem.called(vector[:count])))
-    return Grown(vector[:count], runs, tuple(S[:, :, :count] for S in slopes))
+    return Grown(vector[:count], runs, pushed, tuple(S[:, :, :count] for S in slopes))
 
 
 def _parts(problem: Problem, runs: Runs, share: float) -> list[FreeRun]:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.special
 from jaxtyping import Bool, Float
 
 from ...identification.refinement.conic import pseudo_inverse
@@ -21,6 +22,7 @@ from ..acceptance import unproven
 from ..findings import Gain
 from ..model.free_run import rms_of
 from ..model.parameter_vector import Layout
+from .growing_parts import sharpened
 from .runs.problem import Outputs, Problem, parts_of
 from .settling import Settled, left_by, shown_by
 
@@ -103,6 +105,15 @@ class _Ellipsoid:
         evidence = self.cost(_without(free, k)) - self.cost(free) - self.penalty
         return Moved(int(k), evidence, float(theta[k]), float(np.sqrt(max(covariance[k, k], 0.0))))
 
+    def chance(self, free: Bool[np.ndarray, " numbers"], k: int) -> float:
+        """Probability that a number is other as well that is not among the free ones, by its BIC. So likely it is that
+        these are where they are with that one free: their errors are averaged over both models.
+
+        **Reference:** Hoeting, Madigan, Raftery & Volinsky, Statistical Science 14 (1999) 382-417.
+        """
+        evidence = self.cost(free) - self.cost(free | (np.arange(self.count) == k)) - self.penalty
+        return float(scipy.special.expit(evidence / 2))
+
     def swapped(self, free: Bool[np.ndarray, " numbers"], k: int) -> list[tuple[int, np.ndarray]]:
         """Every number that could be free in the place of one, and which are free then."""
         others = np.flatnonzero(self.known & ~free)
@@ -135,16 +146,33 @@ def necessary(
         moved = (Moved(int(k), float(sizes[k] ** 2 - about.penalty), entries[k], errors[k]) for k in clear)
         return Necessary(settled, tuple(moved), entries, errors)
     shown, free, gains, rivals = fewer
-    values, errors = start.copy(), np.zeros(about.count)
-    for k in np.flatnonzero(about.known):
+    shown = _sharpened(problem, shown, free)
+    values, errors, spread = start.copy(), np.zeros(about.count), np.zeros(about.count)
+    # Slopes of runs that hang sharply on the numbers tell nothing of those that stay.
+    for k in () if settled.pushed else np.flatnonzero(about.known):
         theta, covariance = about.conditional(free | (np.arange(about.count) == k))
         values[k], errors[k] = max(theta[k], 0.0), np.sqrt(max(covariance[k, k], 0.0))
+        if not free[k]:
+            spread += about.chance(free, k) * (theta - about.conditional(free)[0])[: about.count] ** 2
     values[free] = shown.candidate.entries[free]
+    errors[free] = np.sqrt(np.maximum(np.diag(shown.fit.covariance)[: about.count] + spread, 0.0))[free]
     moved = (
-        dataclasses.replace(about.moved(free, k), value=float(values[k]), rivals=rivals[k], gain=gains.get(k))
+        dataclasses.replace(
+            about.moved(free, k), value=float(values[k]), error=float(errors[k]), rivals=rivals[k], gain=gains.get(k)
+        )
         for k in np.flatnonzero(free)
     )
     return Necessary(shown, tuple(moved), values, errors)
+
+
+def _sharpened(problem: Problem, shown: Settled, free: Bool[np.ndarray, " numbers"]) -> Settled:
+    """What is settled by runs that hang sharply on the numbers, where these are best with no others beside them."""
+    again = sharpened(problem, shown.candidate.entries, free, shown.pushed) if shown.pushed else None
+    if again is None or left_by(problem, again.runs.y) > left_by(problem, shown.y):
+        return shown
+    candidate = shown.candidate.with_entries(again.entries)
+    fit = dataclasses.replace(again.fit(problem, shown.fit), candidate=candidate)
+    return dataclasses.replace(shown, candidate=candidate, fit=fit, y=again.runs.y, pushed=again.pushed)
 
 
 @dataclass(frozen=True)
@@ -176,9 +204,11 @@ class _Fewer:
         return shown, free, gains, {k: self._rivals(shown, free, k) for k in np.flatnonzero(free)}
 
     def _doubtful(self, free: Bool[np.ndarray, " numbers"]) -> list[int]:
-        """Numbers of which the simulator is asked whether they have to be other, those with least evidence first."""
+        """Numbers of which the simulator is asked whether they have to be other, those with least evidence first: all
+        where slopes are those of runs that hang sharply on the numbers."""
         evidence = {int(k): self.about.moved(free, k).evidence for k in np.flatnonzero(free)}
-        return sorted((k for k in evidence if evidence[k] < settings.CLEAR_DELTA_BIC), key=evidence.__getitem__)
+        most = np.inf if self.settled.pushed else settings.CLEAR_DELTA_BIC
+        return sorted((k for k in evidence if evidence[k] < most), key=evidence.__getitem__)
 
     def _rivals(self, shown: Settled, free: Bool[np.ndarray, " numbers"], k: int) -> tuple[Moved, ...]:
         """Numbers that serve in the place of one in the simulator itself, the best first. Of two that do the same the

@@ -360,7 +360,7 @@ def _numbers_alone(
         if by_runs is None:
             return settle(problem, context, fit, wholes)
         fit = dataclasses.replace(by_runs.fit(problem, fit), candidate=begin)
-        return Settled(begin, fit, context.simulator, wholes, tuple(context.data), by_runs.runs.y, True)
+        return Settled(begin, fit, context.simulator, wholes, tuple(context.data), by_runs.runs.y, True, by_runs.pushed)
     except ComputationError:
         return None
 

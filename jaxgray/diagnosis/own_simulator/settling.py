@@ -44,8 +44,8 @@ which the force of a law is that along the simulator's own motion."""
 @dataclass(frozen=True)
 class Settled:
     """Laws and numbers in the simulator: `candidate`, its `fit` in the `linear` plant about the nearest runs, records
-    for it (`wholes`, and of the fit `data`), what the sensors show of the runs (`y`), and whether laws and
-    numbers stood still."""
+    for it (`wholes`, and of the fit `data`), what the sensors show of the runs (`y`), whether laws and numbers stood
+    still, and forces by which the runs were `pushed` into their first states."""
 
     candidate: Candidate
     fit: Refit
@@ -54,6 +54,7 @@ class Settled:
     data: tuple[Data, ...]
     y: tuple[np.ndarray, ...]
     still: bool
+    pushed: tuple[np.ndarray, ...] = ()
 
 
 def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear, *, beyond: float = np.inf) -> Settled:
@@ -176,9 +177,13 @@ def shown_by(
     linear, wholes = settled.linear, settled.wholes
     for _ in range(CLOSED):
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
-        runs = without if without is not None and not candidate.terms else problem.tried(calls)
+        pushed = calls
+        if calls is not None and settled.pushed:
+            pushed = [dataclasses.replace(call, w=call.w + w) for call, w in zip(calls, settled.pushed)]
+        runs = without if without is not None and not candidate.terms else problem.tried(pushed)
         if runs is None:
             return None
+        runs = dataclasses.replace(runs, calls=tuple(calls or runs.calls))
         try:
             linear, wholes = problem.about(linear, candidate, wholes, runs)
         except ComputationError:
