@@ -165,7 +165,8 @@ class NotFound:
 
 @dataclass(frozen=True)
 class ParameterShift:
-    """An entry of M, D, K before and after the extension."""
+    """An entry of M, D, K before and after the extension; or a number of a simulator as it was given, and as it is
+    where it has to be other, or would be if it alone were free beside those that have to."""
 
     name: str
     before: float
