@@ -30,6 +30,13 @@ def test_gain_is_that_of_the_errors_and_sure_of_it_where_they_are_alike_all_alon
     assert gain.ci99_lower > 70
 
 
+def test_the_interval_holds_a_gain_that_leaves_next_to_nothing():
+    rng = np.random.default_rng(2)
+    before, after = runs(rng, 4000.0, 0.1)
+    gain = gain_of(before, after, before, FLOOR, NAMES, held_out=True, rng=rng)
+    assert 99.99 < gain.ci95[0] < gain.percent < gain.ci95[1] < 100.0
+
+
 def test_interval_reaches_as_far_as_the_gain_differs_between_records():
     rng = np.random.default_rng(1)
     before, after = runs(rng, 0.4, 0.1)

@@ -99,7 +99,7 @@ class _Pieces:
     def left(self, index: Int[np.ndarray, "... drawn"]) -> Float[np.ndarray, "..."]:
         """Logarithm of the share of the error that is left, over some pieces."""
         before, after, _ = self.overall(index)
-        return np.log(np.maximum(after / before, 1e-3))
+        return np.log(np.maximum(after / before, 1e-12))
 
 
 def _cut(run: FreeRun, each: int) -> list[np.ndarray]:
