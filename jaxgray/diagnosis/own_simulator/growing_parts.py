@@ -207,7 +207,7 @@ def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], shar
             vector, runs = ahead
             if _left(problem, runs, share) > before - FLAT:
                 break
-        if not all(map(follows, _parts(problem, runs, share))):
+        if not all(map(_follows, _parts(problem, runs, share))):
             return None
     count = unknowns.count
     # A first state is none of the forces that the simulator was given.
@@ -238,6 +238,6 @@ def _left(problem: Problem, runs: Runs, share: float) -> float:
     return float(np.sum(count * np.log(np.maximum(_mean_squares(parts), 1e-300))))
 
 
-def follows(part: FreeRun) -> bool:
+def _follows(part: FreeRun) -> bool:
     """Whether a run leaves no more than what no motion explains, its white part, about."""
     return bool(np.all(part.rmse**2 <= settings.STAND_IN_EXCESS**2 * white_part(part.e, part.kept)))

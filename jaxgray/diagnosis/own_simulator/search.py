@@ -27,7 +27,7 @@ from ..search.forward import select_forward
 from ..search.state import SearchState, is_local
 from .conclusions import diagnosis_of, gain_between, is_white
 from .contenders import chosen, offered
-from .growing_parts import Grown, follows, grown
+from .growing_parts import Grown, grown
 from .runs.calls import Call, Simulator, checked_function, checked_numbers
 from .runs.linearized import Linearized, linearized
 from .runs.numbers import NumbersSimulator
@@ -92,29 +92,21 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     def context_of(linear: NumbersSimulator, wholes: Linear) -> SearchContext:
         return _context(problem, linear, wholes, catalogue, separate, rng, progress)
 
-    def by_runs() -> tuple[_Beginning, Runs, Candidate] | None:
+    found, followed, begin = _begin(problem, baseline, start, context_of, rng, progress)
+    numbers = found.fitted
+    if numbers is not None and numbers.still and not found.by_runs and not is_white(parts_of(problem, numbers.y)[0]):
         # Numbers that stand still in the linear plant may not be those of the simulator.
-        plant, idle, again = problem.plant, problem.idle, None
+        again = None
         with contextlib.suppress(BudgetSpent):
             progress.stage(GROWING)
             again = _by_own_runs(problem, start, context_of, rng, progress)
-        if again is None or (near and left_by(problem, again[0].fitted.y) > left_by(problem, found.fitted.y)):
-            problem.plant, problem.idle = plant, idle
-            return None
-        return again
-
-    found, followed, begin = _begin(problem, baseline, start, context_of, rng, progress)
-    near = not found.by_runs and _nearly_white(problem, found.fitted)
-    if near and (again := by_runs()) is not None:
-        found, followed, begin = again
-    search = functools.partial(_laws, problem, context_of=context_of, baseline=baseline, start=start, most=max_effects)
-    context, states, settled = search(found, begin)
-    ends = settled[-1] if settled else found.fitted
-    left = states[-1].unexplained or ends is None or not is_white(parts_of(problem, ends.y)[0])
-    if left and not near and not found.by_runs and _settled(problem, found.fitted):
-        if (again := by_runs()) is not None:
+        if again is not None and left_by(problem, again[0].fitted.y) <= left_by(problem, numbers.y):
             found, followed, begin = again
-            context, states, settled = search(found, begin)
+        else:
+            problem.plant, problem.idle = found.plant, found.idle
+    context, states, settled = _laws(
+        problem, found, begin, context_of=context_of, baseline=baseline, start=start, most=max_effects
+    )
     fitted = found.fitted
     if not settled:
         if fitted is None:
@@ -340,14 +332,6 @@ def _moved_far(problem: Problem, baseline: Runs, fitted: Settled | None) -> bool
 def _settled(problem: Problem, fitted: Settled | None) -> bool:
     """Whether numbers alone stand still, or leave nothing but noise."""
     return fitted is not None and (fitted.still or is_white(parts_of(problem, fitted.y)[0]))
-
-
-def _nearly_white(problem: Problem, fitted: Settled | None) -> bool:
-    """Whether numbers alone leave little more than noise: better ones are likelier than a law."""
-    if fitted is None:
-        return False
-    left = parts_of(problem, fitted.y)[0]
-    return all(map(follows, left)) and not is_white(left)
 
 
 def _numbers_alone(
