@@ -153,7 +153,9 @@ def necessary(
         theta, covariance = about.conditional(free | (np.arange(about.count) == k))
         values[k], errors[k] = max(theta[k], 0.0), np.sqrt(max(covariance[k, k], 0.0))
         if not free[k]:
-            spread += about.chance(free, k) * (theta - about.conditional(free)[0])[: about.count] ** 2
+            # What serves in the place of a number is said beside it.
+            apart = [all(one.k != k for one in rivals.get(j, ())) for j in range(about.count)]
+            spread += about.chance(free, k) * (apart * (theta - about.conditional(free)[0])[: about.count]) ** 2
     values[free] = shown.candidate.entries[free]
     errors[free] = np.sqrt(np.maximum(np.diag(shown.fit.covariance)[: about.count] + spread, 0.0))[free]
     moved = (
