@@ -145,7 +145,8 @@ def _laws(
     """Laws in the linear plant, one a round, each settled in the simulator: the last context, the state of every round,
     and what was settled."""
     linear, wholes, fitted = found.linear, found.wholes, found.fitted
-    if fitted is not None and is_white(parts_of(problem, fitted.y)[0]):
+    explained = fitted is not None and is_white(parts_of(problem, fitted.y)[0])
+    if explained:
         # The numbers explain it all: what they were is nothing that a law has to stand for.
         linear, wholes, begin = fitted.linear, fitted.wholes, fitted.candidate
     states: list[SearchState] = []
@@ -179,6 +180,9 @@ def _laws(
         state.rejected = [one for one in state.rejected if (one.effect, one.location) not in taken]
         settled.append(now)
         linear, wholes, begin = now.linear, now.wholes, now.candidate
+    if explained and not settled:
+        # What the linear plant shows beside them is its own.
+        states[-1].unexplained = False
     return context, states, settled
 
 
