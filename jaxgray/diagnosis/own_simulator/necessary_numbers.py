@@ -257,13 +257,13 @@ class _Fewer:
         return best
 
     def _moved(self, step: Float[np.ndarray, " parameters"], covariance: np.ndarray) -> Settled | None:
-        """What is settled after a step from it."""
+        """What is settled after a step from it; None where the simulator does not run so, or runs beyond all bounds."""
         about, candidate = self.about, self.settled.candidate
         vector = about.layout.moved(about.theta, step, candidate)
         vector[: about.count] = np.maximum(vector[: about.count], 0.0)
         candidate = about.layout.candidate(vector, candidate)
         y = shown_by(self.problem, self.settled, candidate)
-        if y is None:
+        if y is None or not np.isfinite(left_by(self.problem, y)):
             return None
         fit = dataclasses.replace(self.settled.fit, candidate=candidate, covariance=covariance)
         return dataclasses.replace(self.settled, candidate=candidate, fit=fit, y=y)

@@ -154,10 +154,13 @@ def _correction(finding: Finding, names: tuple[str, ...]) -> str:
     if delta is None:
         return f"{what} is wrong"
     if "value" in finding.parameters:
-        others = finding.members[1:] if finding.status == "equivalent" else ()
-        numbers = [_number(what, finding.parameters)]
-        numbers += [_number(number_of(m.effect, m.location, names), m.parameters) for m in others]
-        return ", or ".join(numbers) + (" (this record cannot tell which)" if others else "")
+        members = finding.members if finding.status == "equivalent" else ()
+        others = [m for m in members if (m.effect, m.location) != (finding.effect, finding.location)]
+        parts = [_number(what, finding.parameters)]
+        for m in others:
+            number = number_of(m.effect, m.location, names) if "value" in m.parameters else None
+            parts.append(_titled(m, names) if number is None else _number(number, m.parameters))
+        return ", or ".join(parts) + (" (this record cannot tell which)" if others else "")
     size = value_text(abs(delta.value), delta.standard_error, delta.unit, digits=1)
     text = f"{what} should be {'higher' if delta.value > 0 else 'lower'} by {size}"
     return text + _rivals(finding, names)

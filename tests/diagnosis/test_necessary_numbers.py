@@ -1,0 +1,33 @@
+"""Which numbers of a simulator have to be other: runs that are no numbers, and how a class of them is told."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxgray.diagnosis.findings import Estimate, Finding, Member
+from jaxgray.diagnosis.own_simulator import necessary_numbers
+from jaxgray.diagnosis.words.sentences import _correction
+
+
+@pytest.mark.parametrize(("left", "used"), [(1.0, True), (np.nan, False), (np.inf, False)])
+def test_a_run_that_is_no_number_is_refused(monkeypatch, left, used):
+    layout = SimpleNamespace(moved=lambda theta, step, like: theta + step, candidate=lambda vector, like: vector)
+    monkeypatch.setattr(necessary_numbers, "shown_by", lambda *arguments: (np.zeros((3, 1)),))
+    monkeypatch.setattr(necessary_numbers, "left_by", lambda *arguments: left)
+    monkeypatch.setattr(necessary_numbers.dataclasses, "replace", lambda one, **changes: changes)
+    about = SimpleNamespace(layout=layout, theta=np.ones(2), count=2)
+    fewer = necessary_numbers._Fewer(None, SimpleNamespace(candidate=None, fit=None), about, None)
+    assert (fewer._moved(np.zeros(2), np.eye(2)) is not None) == used
+
+
+def test_a_number_and_a_law_that_stand_for_one_another_are_both_told():
+    number = {"delta": Estimate(0.1, 0.01, ""), "value": Estimate(0.6, 0.01, "")}
+    law = Member("coulomb_friction", "y1", -1.0, {"Fc": Estimate(0.2, 0.01, "N")})
+    members = (Member("parameter_error", "seal", 0.0, number), Member("parameter_error", "bearing", 0.0, number), law)
+    finding = Finding("parameter_error", "seal", "equivalent", "model", members, number, 20.0, None)
+    said = _correction(finding, ("y1",))
+    assert said.startswith(
+        "seal is 0.60 ± 0.01, not 0.5, or bearing is 0.60 ± 0.01, not 0.5, or Coulomb friction at y1"
+    )
+    assert said.endswith("(this record cannot tell which)")
