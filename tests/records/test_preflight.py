@@ -25,6 +25,7 @@ from jaxgray.records import (
     white,
 )
 from jaxgray.records.checks.defects import clipped, fast_noise, grid_step, spikes, stuck
+from jaxgray.records.checks.relations import mains_line
 
 STEP = 0.01
 MEASURED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -91,17 +92,17 @@ def noise(seed):
 
 def test_clean_records_are_left_alone():
     found = {}
-    for seed in range(200):
+    for seed in range(70):
         u, y, measured = clean(seed)
         findings = preflight(Record(u, y, STEP, measured=measured))
         if findings:
             found[seed] = [finding.effect for finding in findings]
-    assert len(found) <= 2, found
+    assert len(found) <= 1, found
 
 
 def test_noise_is_an_output_without_a_relation_and_nothing_else():
-    outcome = Counter(tuple(f.effect for f in preflight(Record(*noise(seed), STEP))) for seed in range(40))
-    assert outcome[("dead_channel",)] >= 39, outcome
+    outcome = Counter(tuple(f.effect for f in preflight(Record(*noise(seed), STEP))) for seed in range(20))
+    assert outcome[("dead_channel",)] >= 19, outcome
 
 
 def test_a_single_sine_is_too_little():
@@ -121,7 +122,7 @@ def test_clean_records_are_left_alone_when_written_as_text(form):
     for seed in range(60):
         u, y, measured = clean(seed)
         y = np.array([float(form % value) for value in y / y.std()])
-        findings = preflight(Record(u, y, STEP, measured=measured))
+        findings = preflight(Record(u, y, STEP, measured=measured), relations=False)
         if findings:
             found[seed] = [finding.effect for finding in findings]
     assert len(found) <= 1, found
@@ -204,9 +205,11 @@ def test_defects_of_visible_size_are_found(effect, defect):
         damaged = defect(y, np.random.default_rng(seed + 10_000))
         if damaged is None:
             continue
-        effects = {finding.effect for finding in preflight(Record(u, damaged, STEP, measured=measured))}
+        # What is wrong between channels is looked for in other tests: most of the time goes there.
+        findings = preflight(Record(u, damaged, STEP, measured=measured), relations=False)
+        effects = {finding.effect for finding in findings}
         outcome[effect in effects] += 1
-        others.update(effects - {effect} - (set() if seed % 4 else {"dead_channel"}))
+        others.update(effects - {effect})
     assert outcome[True] + outcome[False] >= 60
     assert outcome[True] >= 0.95 * (outcome[True] + outcome[False]), outcome
     assert sum(others.values()) <= 0.02 * outcome[True] + 1, others
@@ -388,6 +391,7 @@ def looped(rng):
 
 RELATIONS = {
     "unit_change": ("y2", lambda u, y, rng: (u, changed(y, 1, slice(3500, None), 1000.0), {})),
+    "unit_change, by far": ("y2", lambda u, y, rng: (u, changed(y, 1, slice(2000, None), 1e-3), {})),
     "unit_change of an input": ("u1", lambda u, y, rng: (changed(u, 0, slice(2500), 9.81), y, {})),
     "sign_error": ("y1", lambda u, y, rng: (u, changed(y, 0, slice(None), -1.0), {})),
     "sign_error of an input": ("y2", lambda u, y, rng: (changed(u, 1, slice(None), -1.0), y, {})),
@@ -443,6 +447,22 @@ def test_figures_of_what_is_wrong_between_channels():
     assert values("mains_hum")["frequency_hz"] == pytest.approx(50.0, abs=0.05)
     y = related(0)[1]
     assert values("mains_hum")["amplitude"] == pytest.approx(0.02 * y[:, 0].std(), rel=0.1)
+
+
+def test_a_line_beside_a_resonance_is_seen_where_that_is_whitened():
+    n, h = 8000, 0.002
+    pole = np.exp((-1.0 + 2j * np.pi * 52.0) * h)
+    a = np.poly([pole, pole.conjugate()])
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        left = lfilter([1.0], a, rng.standard_normal(n))
+        u, line = rng.standard_normal((n, 1)), np.sin(2 * np.pi * 50.0 * h * np.arange(n))
+        amplitude = 0.4 * left.std()
+        assert mains_line(left, a, u, h, 50.0) is None
+        assert mains_line(left + amplitude * line, np.array([1.0]), u, h, 50.0) is None
+        seen, size, above = mains_line(left + amplitude * line, a, u, h, 50.0)
+        assert abs(seen - 50.0) < 0.05 and above > 4.0
+        assert size == pytest.approx(amplitude, rel=0.3)
 
 
 def test_a_line_that_an_input_holds_too_is_no_hum():

@@ -76,7 +76,7 @@ def answer(
     return best
 
 
-SHIFTS = (15, 50, -25, -55)
+SHIFTS = (15, 50, -15, -45)
 """Samples by which inputs are put off where they explain little: an equation of this length reaches that much on."""
 
 PLAIN = 0.02
@@ -93,13 +93,33 @@ def aligned(u: np.ndarray, y: np.ndarray, found: Answer, beside: np.ndarray | No
     if found.share < PLAIN or len(y) < 10 * max(ORDERS):
         return best
     for lead in SHIFTS:
-        x = y.astype(float).copy()
-        x[-lead if lead > 0 else 0 : None if lead > 0 else -lead] = np.nan
-        moved = np.roll(u, -lead, axis=0)
-        other = fitted(moved, x, ORDERS[0], None, beside)
+        moved, x = put_off(u, y, lead)
+        # The longer equation: some of its length goes into the shift.
+        other = fitted(moved, x, ORDERS[-1], None, beside)
         if other is not None and other.share < 0.6 * best[1].share:
             best = lead, answer(moved, x, None, beside)
     return best
+
+
+def put_off(u: np.ndarray, y: np.ndarray, lead: int) -> tuple[np.ndarray, np.ndarray]:
+    """Inputs put off by so many samples, and an output without those that lose theirs."""
+    x = y.astype(float).copy()
+    x[len(x) - lead if lead > 0 else 0 : None if lead > 0 else -lead] = np.nan
+    return np.roll(u, -lead, axis=0), x
+
+
+def least_lead(u: np.ndarray, y: np.ndarray, most: int, share: float, beside: np.ndarray | None = None) -> int:
+    """The fewest samples, up to `most`, by which inputs are put off and explain an output all but about a `share`."""
+    low, high = 0, most
+    while high - low > 1:
+        middle = (low + high) // 2
+        found = fitted(*put_off(u, y, middle), ORDERS[-1], None, beside)
+        low, high = (low, middle) if found is not None and found.share < ABOUT * share else (middle, high)
+    return high
+
+
+ABOUT = 1.5
+"""Unexplained share, over the least one, that is as good."""
 
 
 def fitted(
@@ -140,7 +160,9 @@ def fitted(
     def left_by(a, e):
         with np.errstate(over="ignore", invalid="ignore"):
             left = np.where(known, filtered([1.0], a, np.where(usable, e, 0.0)), 0.0)
-            return left, float(np.sqrt(np.mean(left[judged] ** 2) / np.mean(x[judged] ** 2)))
+            # What went before the rows is not theirs to explain.
+            own = left if rows is None else filtered([1.0], a, np.where(judged, e, 0.0))
+            return left, float(np.sqrt(np.mean(own[judged] ** 2) / np.mean(x[judged] ** 2)))
 
     left, share = left_by(a, e)
     stable = share < UNSTABLE

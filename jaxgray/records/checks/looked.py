@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgray.records.checks.answers import Answer, aligned, answer
+from jaxgray.records.checks.answers import Answer, aligned, answer, least_lead
 from jaxgray.records.checks.defects import spikes
 from jaxgray.records.checks.modes import SHIFTS, Modes, input_power, modes
-from jaxgray.records.checks.relations import direction, distinguishable
+from jaxgray.records.checks.relations import BACK, RESTING, direction, distinguishable, left_by_outputs, overlap
 from jaxgray.records.cleaning import without_defects
 from jaxgray.records.record import Record
 
@@ -42,6 +42,19 @@ PLAINLY = 40.0, 50.0
 
 CANCELLING = 1.5
 """Size of a mode, over all of the motion, from which modes only cancel each other."""
+
+UNCAUSED, CAUSED_LATER = 0.5, (0.3, 0.4)
+"""Unexplained share above which an output may come before what moves it; the share that inputs to come may leave, and
+that over the share before."""
+
+MANY = 400
+"""Samples from which relations over time between channels are looked for."""
+
+ALIKE = 0.5
+"""Overlap of the spectra of the first and the last part of an input below which it is a sweep."""
+
+LEFT = 0.45
+"""Share that outputs leave of an input, beyond its own past, below which they tell it: a controller is seen."""
 
 LEAST_SHIFT, LEAST_PHASE = 1.75, 0.1
 """Samples, and rad at the strongest mode, from which a shift is said: the hold of the input is worth half a sample."""
@@ -127,6 +140,11 @@ class Looked:
         return np.stack([direction(np.nan_to_num(y), kinds[k]) for k, _, y, _ in self.outputs], axis=1)
 
     @functools.cached_property
+    def aligned(self) -> dict[str, tuple[int, Answer]]:
+        """How outputs answer inputs that are put off by so many samples that they explain more."""
+        return {one.name: aligned(self.u, one.y, one.found, one.beside) for one in self.answering}
+
+    @functools.cached_property
     def modes(self) -> dict[str, Modes]:
         """Modes of the outputs that the inputs explain well enough, if need be shifted in time."""
         record, found = self.record, {}
@@ -134,7 +152,7 @@ class Looked:
             return found
         power = input_power(self.u)
         for one in self.answering:
-            lead, best = aligned(self.u, one.y, one.found, one.beside)
+            lead, best = self.aligned[one.name]
             if best.share < EXPLAINED:
                 seen = modes(best, power, record.measured[one.position], record.hold, lead)
                 if seen is not None:
@@ -165,6 +183,36 @@ class Looked:
             return len(self.answering) == 1 or self.modes[name].share < PLAIN_SHIFT or agreed
 
         return {name: shift for name, shift in shifted.items() if sure(name)}
+
+    @functools.cached_property
+    def left(self) -> list[float]:
+        """What outputs leave of every input beyond its own past, 1 where it rests, is a sweep or is short."""
+        first = [1 if kind == "acceleration" or self.record.hold != "zero" else 0 for kind in self.record.measured]
+        outputs = [(one.y, first[one.position]) for one in self.answering]
+
+        def told(x: np.ndarray) -> bool:
+            moves = len(x) >= MANY and np.median(np.abs(np.diff(x))) > RESTING * np.std(x)
+            return bool(moves and overlap(x) > ALIKE)
+
+        return [left_by_outputs(x, outputs) if told(x) else 1.0 for x in self.u.T]
+
+    @functools.cached_property
+    def early(self) -> dict[str, float]:
+        """Samples by which outputs come before what moves them, negative, of those that hardly follow from the past of
+        the inputs and do from what comes; the most of any where all do."""
+        found = {}
+        # Outputs that come before an input by more than is looked back do not tell it, as a controller's would.
+        most = np.inf if min(self.left, default=1.0) > LEFT else BACK
+        for one in self.answering:
+            lead, best = self.aligned[one.name]
+            most_left = min(CAUSED_LATER[0], CAUSED_LATER[1] * one.found.share)
+            if lead > 0 and one.found.share > UNCAUSED and best.share < most_left:
+                least = least_lead(self.u, one.y, lead, best.share, one.beside)
+                if LEAST_SHIFT <= least <= most:
+                    found[one.name] = -float(least)
+        if len(found) == len(self.answering):
+            found = dict.fromkeys(found, min(found.values(), default=0.0))
+        return found
 
     @property
     def open(self) -> list[Answering]:

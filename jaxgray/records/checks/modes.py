@@ -37,7 +37,8 @@ class Modes:
     - `shift`: τ in samples at which residues are real; `misfit`: share of the power left there; `unshifted`: likewise
       at no shift; `misfits`: at all of `SHIFTS`, infinite beyond about half a period.
     - `omega`: natural frequencies in rad per sample, the strongest first.
-    - `parts`: RMS of what each mode brings over that of all, with the sign of its residue.
+    - `parts`: RMS of what each mode brings over that of all, with the sign of its residue; `turned`: likewise beside
+      what turns its phase, as dampers that couple the modes do; `left`: share of the power that this leaves.
     """
 
     share: float
@@ -47,6 +48,8 @@ class Modes:
     misfits: Float[np.ndarray, " shifts"]
     omega: Float[np.ndarray, " modes"]
     parts: Float[np.ndarray, "inputs modes"]
+    turned: Float[np.ndarray, "inputs modes"]
+    left: float
 
 
 def input_power(u: Float[np.ndarray, "samples inputs"]) -> tuple[np.ndarray, np.ndarray]:
@@ -80,7 +83,7 @@ def modes(found: Answer, power: tuple[np.ndarray, np.ndarray], measured: str, ho
     f = f[(f > 0.0) & (f < 0.49)]
     back = np.exp(-2j * np.pi * f)
     states, rows = _states(omega, zeta, f, hold), DERIVATIVE[measured]
-    basis = states[rows]
+    basis, turning = states[rows : rows + 2]
     # What stiffer modes add has settled when the next sample is taken.
     rest = [back[:, None]] if rows == 0 else []
     A = np.polynomial.polynomial.polyval(back, found.a)
@@ -119,7 +122,7 @@ def modes(found: Answer, power: tuple[np.ndarray, np.ndarray], measured: str, ho
         if not others:
             break
         tried = [
-            np.min(projected(np.hstack([states[0][:, some], states[1][:, some], *rest]))[0])
+            np.min(projected(np.hstack([basis[:, some], turning[:, some], *rest]))[0])
             for r in others
             for some in [[*chosen, r]]
         ]
@@ -134,24 +137,27 @@ def modes(found: Answer, power: tuple[np.ndarray, np.ndarray], measured: str, ho
         return None
     # Half a period on, a single mode looks like itself with the other sign.
     outside = np.abs(SHIFTS) > 1.2 * np.pi / omega[chosen[0]]
-    result = None
-    for columns in ([basis[:, chosen]], [basis[:, chosen], states[rows + 1][:, chosen]]):
-        misfits, factors = projected(np.hstack([*columns, *rest]))
-        misfits = np.where(outside, np.inf, misfits)
-        best = int(np.argmin(misfits))
-        parts = [np.linalg.lstsq(R, along[:, best], rcond=1e-12)[0] * size for R, along, size in factors]
-        result = Modes(
-            found.share,
-            float(SHIFTS[best]),
-            float(misfits[best]),
-            float(misfits[np.argmin(np.abs(SHIFTS))]),
-            misfits,
-            omega[chosen],
-            np.array(parts)[:, : len(chosen)] / np.sqrt(whole),
-        )
-        if result.misfit < REAL:
-            break
-    return result
+    real = projected(np.hstack([basis[:, chosen], *rest]))
+    free = projected(np.hstack([basis[:, chosen], turning[:, chosen], *rest]))
+    left, factors = next((one for one in (real, free) if np.min(one[0][~outside]) < REAL), free)
+    misfits = np.where(outside, np.inf, left)
+    best = int(np.argmin(misfits))
+
+    def parts(factors):
+        found = [np.linalg.lstsq(R, along[:, best], rcond=1e-12)[0] * size for R, along, size in factors]
+        return np.array(found)[:, : len(chosen)] / np.sqrt(whole)
+
+    return Modes(
+        found.share,
+        float(SHIFTS[best]),
+        float(misfits[best]),
+        float(misfits[np.argmin(np.abs(SHIFTS))]),
+        misfits,
+        omega[chosen],
+        parts(factors),
+        parts(free[1]),
+        float(free[0][best]),
+    )
 
 
 REAL = 0.05

@@ -8,7 +8,7 @@ import numpy as np
 from jaxgray.numerics.text import listed
 from jaxgray.records.checks.answers import answer
 from jaxgray.records.checks.finding import RecordFinding
-from jaxgray.records.checks.looked import ROUGH, Answering, Looked, proportion
+from jaxgray.records.checks.looked import ALIKE, LEFT, MANY, ROUGH, Answering, Looked, proportion
 from jaxgray.records.checks.relations import (
     RESTING,
     WINDOWS,
@@ -19,11 +19,11 @@ from jaxgray.records.checks.relations import (
     feedback,
     from_rest,
     gain_change,
-    left_by_outputs,
     mains_line,
     overlap,
     predictable,
     resonance,
+    waits,
 )
 
 
@@ -126,13 +126,11 @@ def _grows(x: np.ndarray, sample: int, factor: float) -> bool:
 STEADY = 0.1
 """Unexplained share below which one gain holds all over the record."""
 
-ALIKE = 0.5
-"""Overlap of the spectra of the first and the last part of an input below which it is a sweep."""
-
 
 def timing(looked: Looked) -> Iterator[RecordFinding]:
     record = looked.record
-    shifts = {name: shift for name, shift in looked.shifts.items() if name not in looked.explained}
+    # Where modes do not say it, what follows from inputs to come does.
+    shifts = {name: shift for name, shift in (looked.early | looked.shifts).items() if name not in looked.explained}
     if not shifts:
         return
     together = len(shifts) == len(looked.answering) and len(set(shifts.values())) == 1
@@ -141,10 +139,13 @@ def timing(looked: Looked) -> Iterator[RecordFinding]:
         who = "The outputs come" if together else f"Output {name} comes"
         late = "late" if shift > 0 else "early"
         when = f"{abs(shift):.3g} samples ({abs(shift) * record.sampling_time:.3g} s) too {late}"
+        by_modes = bool(looked.shifts) if together else name in looked.shifts
+        their, them = ("their", "them") if together else ("its", "it")
+        how = f"by the phases of {their} modes" if by_modes else f"since only inputs to come explain {them}"
         yield RecordFinding(
             "time_shift",
             name,
-            f"{who} {when} for the inputs, by the phases of its modes. Align the channels, or find what delays them.",
+            f"{who} {when} for the inputs, {how}. Align the channels, or find what delays them.",
             "warning",
             {"samples": shift, "seconds": shift * record.sampling_time},
         )
@@ -158,28 +159,29 @@ def signs(looked: Looked) -> Iterator[RecordFinding]:
         if one.name not in looked.explained and looked.modes.get(one.name) is not None
     }
     # Of every pair: 1 for residues that are all positive, -1 for all negative, 0 for both, NaN where unknown.
-    signs = np.full((record.outputs, record.inputs), np.nan)
+    signs, turned = np.full((2, record.outputs, record.inputs), np.nan)
     several = np.zeros(signs.shape, bool)
     for k, found in seen.items():
         if found.misfit <= ROUGH:
-            clear = [_clear(parts, found.misfit) for parts in found.parts]
+            clear = [_clear(parts, found.misfit, found.share) for parts in found.parts]
             signs[k] = [_sign(parts) for parts in clear]
+            turned[k] = [_sign(_clear(parts, found.left, found.share)) for parts in found.turned]
             several[k] = [len(parts) > 1 for parts in clear] & (signs[k] != 0.0)
     if record.inputs == record.outputs:
         place = range(record.inputs)
     elif record.inputs == 1:
-        # Of outputs at unknown places, one that answers with several modes alike is the place of the input, or the only
-        # one whose modes do not differ.
+        # Of outputs at unknown places, one that answers with several modes alike is the place of the input, or else one
+        # whose modes do not differ; which of them does not matter where all say the same.
         alike = [k for k in seen if several[k, 0]]
         others = [k for k in range(record.outputs) if signs[k, 0] != 0.0]
-        place = alike if len(alike) == 1 else others if len(others) == 1 else []
+        place = next((some[:1] for some in (alike, others) if some and np.ptp(signs[some, 0]) == 0.0), [])
     else:
         return
     diagonal = {j: signs[k, j] for j, k in zip(range(record.inputs), place)}
     if record.inputs == record.outputs:
         for j, k in itertools.combinations(range(record.inputs), 2):
-            crossed = signs[j, k] == 1.0 and signs[k, j] == 1.0
-            if crossed and signs[j, j] + signs[k, k] < 2.0:
+            crossed = [S[j, k] == 1.0 and S[k, j] == 1.0 and S[j, j] + S[k, k] < 2.0 for S in (signs, turned)]
+            if any(crossed):
                 names = record.output_names[j], record.output_names[k]
                 diagonal[j] = diagonal[k] = 1.0
                 yield RecordFinding(
@@ -202,10 +204,15 @@ def signs(looked: Looked) -> Iterator[RecordFinding]:
             )
 
 
-def _clear(parts: np.ndarray, misfit: float) -> np.ndarray:
+def _clear(parts: np.ndarray, misfit: float, share: float) -> np.ndarray:
     """Those of the parts of modes that are no chance."""
     size = np.abs(parts)
-    return parts[size > max(0.01 * size.max(initial=0.0), 3.0 * np.sqrt(misfit) * size.max(initial=0.0), 1e-3)]
+    least = max(0.01, 3.0 * np.sqrt(misfit), BY_CHANCE * share)
+    return parts[size > max(least * size.max(initial=0.0), 1e-3)]
+
+
+BY_CHANCE = 0.15
+"""Part of a mode, over what is unexplained, up to which dry friction brings it."""
 
 
 def _sign(clear: np.ndarray) -> float:
@@ -220,12 +227,11 @@ def exchange(looked: Looked) -> Iterator[RecordFinding]:
     for one in looked.open:
         # What follows from what comes after it alone is unstable.
         forward = one.found.share if one.found.stable else np.inf
-        if forward < 0.05:
+        if forward < HEARD:
             continue
         for j, name in enumerate(record.input_names):
             back = exchanged(looked.u, one.y, j, forward) if np.any(looked.u[:, j]) else None
-            # An output that comes too early follows from its past alone as well, but its modes say by how much.
-            if back is not None and one.name not in looked.shifts:
+            if back is not None and not _comes_early(looked, one, j, back):
                 looked.explained.add(one.name)
                 yield RecordFinding(
                     "swapped_channels",
@@ -236,6 +242,21 @@ def exchange(looked: Looked) -> Iterator[RecordFinding]:
                     {"input": name, "share": one.found.share, "exchanged_share": back},
                 )
                 break
+
+
+def _comes_early(looked: Looked, one: Answering, j: int, back: float) -> bool:
+    """Whether an output that input j seems to follow from, all but a share `back`, comes before it instead: what is to
+    come explains it far better, or the input waits for it."""
+    if one.name in looked.shifts:
+        better = looked.shifts[one.name] > 0 or looked.aligned[one.name][1].share < back
+    else:
+        better = one.name in looked.early and looked.aligned[one.name][1].share < FORWARD * back
+    return better or (one.name in looked.early | looked.shifts and waits(looked.u, one.y, j, back))
+
+
+FORWARD = 0.5
+"""Share that inputs to come leave of an output, over what it leaves of them, below which it is not their cause where no
+modes say so."""
 
 
 def no_answer(looked: Looked) -> Iterator[RecordFinding]:
@@ -280,12 +301,11 @@ def loop(looked: Looked) -> Iterator[RecordFinding]:
     if not heard:
         return
     period = record.detect_period()
-    first = [1 if kind == "acceleration" or record.hold != "zero" else 0 for kind in record.measured]
     for j, name in enumerate(record.input_names):
         x = looked.u[:, j]
         if np.median(np.abs(np.diff(x))) <= RESTING * np.std(x):
             continue
-        left = 1.0 if period else left_by_outputs(x, [(one.y, first[one.position]) for one in heard])
+        left = looked.left[j]
         followed = []
         if overlap(x) > ALIKE and predictable(x) > PREDICTED:
             for one in heard:
@@ -310,7 +330,7 @@ def loop(looked: Looked) -> Iterator[RecordFinding]:
 
 
 HEARD = 0.01
-"""Unexplained share of an output from which what is fed back of it matters."""
+"""Unexplained share of an output from which another relation may explain it, or what is fed back of it matters."""
 
 FOLLOWED = 0.06
 """Correlation of an input with what went before that matters."""
@@ -318,14 +338,8 @@ FOLLOWED = 0.06
 LOOP = 5.0
 """Correlation with what went before, in standard deviations, that is no chance."""
 
-LEFT = 0.45
-"""Share that outputs leave of an input, beyond its own past, below which a controller is seen."""
-
 PREDICTED = 1e-4
 """Innovation of an input, RMS over its own, below which nothing can be seen to enter it."""
-
-MANY = 400
-"""Samples from which relations between channels are looked for."""
 
 
 def drift(looked: Looked) -> Iterator[RecordFinding]:
@@ -352,9 +366,8 @@ def hum(looked: Looked) -> Iterator[RecordFinding]:
     record = looked.record
     for one in looked.answering:
         for frequency in MAINS_HZ:
-            line = mains_line(
-                one.y - from_rest(one.found, looked.u, one.beside), looked.u, record.sampling_time, frequency
-            )
+            left = one.y - from_rest(one.found, looked.u, one.beside)
+            line = mains_line(left, one.found.a, looked.u, record.sampling_time, frequency)
             if line is not None and line[1] > LEAST_LINE * np.std(one.y):
                 seen, amplitude, above = line
                 amplitude = float(amplitude * one.size)

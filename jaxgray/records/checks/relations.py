@@ -62,13 +62,13 @@ def left_by_outputs(u: np.ndarray, outputs: list[tuple[np.ndarray, int]]) -> flo
 
     **Arguments:** `u`: the input; `outputs`: each with the delay in samples from which the input may follow it.
     """
-    n, own, back = len(u), 10, 4
-    rows = np.arange(own + back, n)
-    past = [u[rows - k] for k in range(1, own + 1)]
+    n = len(u)
+    rows = np.arange(OWN + BACK, n)
+    past = [u[rows - k] for k in range(1, OWN + 1)]
 
     def error(shift):
         moved = [(np.roll(y, shift), first) for y, first in outputs]
-        X = np.stack(past + [y[rows - first - k] for y, first in moved for k in range(back)])
+        X = np.stack(past + [y[rows - first - k] for y, first in moved for k in range(BACK)])
         X /= np.sqrt(np.mean(X**2, axis=1))[:, None] + 1e-300
         weight = np.ones(len(rows))
         for _ in range(6):
@@ -78,6 +78,10 @@ def left_by_outputs(u: np.ndarray, outputs: list[tuple[np.ndarray, int]]) -> flo
         return usual
 
     return float(error(0) / error(int(FAR[2] * n)))
+
+
+OWN, BACK = 30, 8
+"""Samples of the past of an input, and of outputs, by which a controller is looked for."""
 
 
 def distinguishable(u: Float[np.ndarray, "samples inputs"]) -> bool:
@@ -306,11 +310,13 @@ def _slopes(X: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def mains_line(
-    left: np.ndarray, u: np.ndarray, sampling_time: float, frequency: float
+    left: np.ndarray, a: np.ndarray, u: np.ndarray, sampling_time: float, frequency: float
 ) -> tuple[float, float, float] | None:
-    """A line of the mains in what the inputs do not explain of an output.
+    """A line of the mains in what the inputs do not explain of an output, as it is or whitened: what else is left has
+    lines and resonances of its own, and an equation that holds the line whitens it away.
 
-    **Arguments:** `left`: that; `u`: inputs; `sampling_time` [s]; `frequency` [Hz].
+    **Arguments:** `left`: that; `a`: polynomial of the equation that whitens it; `u`: inputs; `sampling_time` [s];
+    `frequency` [Hz].
 
     **Returns:** where it appears [Hz], its amplitude, and its power over the largest beside it; None where there is
     none, where it would fall on zero or on half the sampling rate, or where an input has it too.
@@ -331,13 +337,14 @@ def mains_line(
         side = np.concatenate([power[: at - 3], power[at + 4 :]])
         return at, power[at], power[at] / max(float(np.max(side)), 1e-300), side
 
-    at, power, ratio, side = stands_out(left)
-    if ratio < ABOVE_SIDES or power < ABOVE_USUAL * np.median(side):
-        return None
-    for x in u.T:
-        if stands_out(x)[2] > IN_INPUT:
-            return None
-    return (centre - around - beside + at) * resolution, 2.0 * np.sqrt(power) / float(np.sum(window)), float(ratio)
+    best = None
+    for by in ([1.0], a):
+        at, power, ratio, side = stands_out(filtered(by, [1.0], left))
+        if ratio >= max(ABOVE_SIDES, best[2] if best else 0.0) and power >= ABOVE_USUAL * np.median(side):
+            line = centre - around - beside + at
+            size = np.sqrt(power) / abs(np.polynomial.polynomial.polyval(np.exp(-2j * np.pi * line / n), by))
+            best = line * resolution, float(2.0 * size / np.sum(window)), float(ratio)
+    return best if best is not None and all(stands_out(x)[2] <= IN_INPUT for x in u.T) else None
 
 
 ABOVE_SIDES, ABOVE_USUAL = 4.0, 30.0
@@ -410,11 +417,26 @@ LEAST_AVERAGES = 150
 def exchanged(u: np.ndarray, y: np.ndarray, j: int, forward: float) -> float | None:
     """What an output and the other inputs leave of input j, where that is far less than inputs leave of the output
     (`forward`); else None."""
-    columns = u.copy()
-    columns[:, j] = y
-    back = answer(columns, u[:, j])
+    back = answer(_in_place_of(u, y, j), u[:, j])
     follows = back is not None and back.stable and back.share < min(0.3, 0.4 * forward)
     return back.share if follows else None
+
+
+def waits(u: np.ndarray, y: np.ndarray, j: int, share: float) -> bool:
+    """Whether input j follows as well, all but this share, from an output that comes later still: no machine that the
+    output moves waits that long."""
+    later = answer(_in_place_of(u, np.roll(y, WAITED), j), u[:, j])
+    return later is not None and later.share < WAITS * share
+
+
+WAITED, WAITS = 10, 1.2
+"""Samples by which an output is put off, and by how much more that may leave of an input that waits for it."""
+
+
+def _in_place_of(u: np.ndarray, y: np.ndarray, j: int) -> np.ndarray:
+    columns = u.copy()
+    columns[:, j] = y
+    return columns
 
 
 def from_rest(found: Answer, u: np.ndarray, beside: np.ndarray | None = None) -> np.ndarray:
