@@ -50,6 +50,7 @@ def test_a_law_is_told_from_wrong_numbers():
     assert "not white" not in str(found) and "nan" not in str(found)
 
 
+@pytest.mark.slow
 def test_wrong_numbers_alone_are_said_to_be_that():
     # More of a friction that the simulator has is no law that it lacks.
     record, numbers = measured(pendulum.coulomb, 0.03, seed=2)
@@ -354,6 +355,7 @@ def test_a_number_that_cannot_be_more_is_tried_with_less():
     assert [finding.location for finding in found.findings if finding.stage == "model"] == ["efficiency"]
 
 
+@pytest.mark.slow
 def test_a_record_that_begins_elsewhere_is_no_fault_of_the_simulator():
     u = pendulum.torque(SAMPLES, np.random.default_rng(5), highest=10.0)[:, None]
     record = pushed(spring(u, 0 * u, {"first": 0.2}), u)

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from found import diagnosed, hidden_case, model_findings
 
 from jaxgray.diagnosis.estimation import context as context
@@ -13,6 +14,7 @@ from jaxgray.numerics.programs import side_by_side
 FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "position_dependent_friction")
 
 
+@pytest.mark.slow
 def test_a_second_core_changes_nothing_and_the_noise_of_a_fit_is_estimated_once(monkeypatch):
     case = hidden_case("coulomb_friction")
     found, estimate, residuals = [], context.estimate_noise_model, []

@@ -47,6 +47,7 @@ LATER |= {
     ("ramps", "cubic_stiffness"),
     ("ramps", "end_stop"),
     ("steps", "bilinear_stiffness"),
+    ("steps", "cubic_stiffness"),
 }
 CASES = [
     pytest.param(kind, law, marks=[pytest.mark.slow] if (kind, law) in LATER else [])

@@ -423,7 +423,7 @@ def test_a_slow_motion_sampled_fast_is_reached_by_its_inputs():
         check(y)
 
 
-@pytest.mark.parametrize("seed", [2, 5])
+@pytest.mark.parametrize("seed", [2, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_mode_next_to_half_the_sampling_rate_keeps_its_mass(seed):
     """Neither a mass of nothing nor the alias of the mode is a better end of the refinement."""
     rng, h = np.random.default_rng([79, seed]), 0.2687

@@ -43,7 +43,7 @@ def errors(found):
     return max(data.relative_errors((found.mass, found.damping, found.stiffness), TRUTH))
 
 
-@pytest.mark.parametrize("kind", ["jittered", "random", "rates"])
+@pytest.mark.parametrize("kind", ["jittered", pytest.param("random", marks=pytest.mark.slow), "rates"])
 def test_without_noise_the_truth_is_found(kind):
     time, u, y = drawn(generator(kind), kind)
     if kind == "rates":
