@@ -8,7 +8,7 @@ import scipy.signal
 
 from jaxgray import Record, identify
 from jaxgray.identification.validation.colour import autoregression, score_covariance
-from jaxgray.identification.validation.force_noise import force_noise_chance
+from jaxgray.identification.validation.force_noise import force_noise
 
 H = data.REFERENCE_TIME * 4
 TRUTH = tuple(data.REFERENCE.values())
@@ -92,7 +92,7 @@ def test_noise_at_the_forces_is_told_from_noise_of_the_sensors(ratio):
         pair = []
         for noise in (sensors, sensors + 2 * forces / forces.std()):
             e = noise - Q @ (Q.T @ noise)
-            pair.append(force_noise_chance([J[:, None, :]], [e[:, None]], response))
+            pair.append(force_noise([J[:, None, :]], [e[:, None]], response).chance)
         chances.append(pair)
     white, forced = np.array(chances).T
     assert np.sum(forced < 0.01) >= 36

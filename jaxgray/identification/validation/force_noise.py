@@ -1,6 +1,7 @@
 """Whether a residual is largest where the system answers forces, as if noise entered there."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import scipy.special
@@ -10,12 +11,20 @@ from ...mechanics.systems.statespace import StateSpace
 from .colour import PIECE, smooth_length
 
 
-def force_noise_chance(
+class ForceNoise(NamedTuple):
+    """`chance`: probability that white noise of the sensors leaves a residual as large where the system answers forces;
+    `samples`: independent samples of that answer, in which noise at the forces shows."""
+
+    chance: float
+    samples: float
+
+
+def force_noise(
     sensitivities: list[Float[np.ndarray, "samples outputs parameters"]],
     residuals: list[Float[np.ndarray, "samples outputs"]],
     response: Callable[[int], Complex[np.ndarray, "frequencies outputs inputs"]],
-) -> float:
-    """Probability that white noise of the sensors leaves a residual as large where the system answers forces.
+) -> ForceNoise:
+    """Whether noise at the forces shows in a residual.
 
     Score test of the variance of white noise at the forces. Its statistic is eᵀRe for the covariance R that such noise
     gives to the outputs. White noise ε of the sensors leaves e = Pε, P = I − J(JᵀJ)⁻¹Jᵀ, so that noise is seen, too,
@@ -25,7 +34,7 @@ def force_noise_chance(
     likewise; both zero where samples are missing; `response`: of the outputs, in units of their noise, to forces, at a
     number of frequencies from 0 to half the sampling rate.
 
-    **Returns:** the probability, by a scaled χ² of that mean and variance.
+    **Returns:** a `ForceNoise`, by a scaled χ² of that mean and variance: the samples are its degrees of freedom.
 
     **Reference:** Zhang & Lin (2003), *Hypothesis testing in semiparametric additive mixed models*, Biostatistics 4.
     """
@@ -58,12 +67,13 @@ def force_noise_chance(
     mean = trace - np.trace(taken)
     spread = 2 * (square - 2 * np.sum(inverse * twice) + np.sum(taken * taken.T))
     if not (mean > 0 and spread > 0 and variance > 0):
-        return 1.0
-    return float(scipy.special.chdtrc(2 * mean**2 / spread, statistic / variance * 2 * mean / spread))
+        return ForceNoise(1.0, np.inf)
+    samples = float(2 * mean**2 / spread)
+    return ForceNoise(float(scipy.special.chdtrc(samples, statistic / variance * samples / mean)), samples)
 
 
 def response_to_inputs(system: StateSpace, weights: Float[np.ndarray, "outputs outputs"], samples: int) -> Callable:
-    """The weighted outputs' response to the inputs of a sampled system, as `force_noise_chance` asks for it.
+    """The weighted outputs' response to the inputs of a sampled system, as `force_noise` asks for it.
 
     Motions are made to fade over the record at least, as no peak shows narrower in it.
     """
