@@ -36,6 +36,12 @@ def test_noise_at_the_force_is_told_and_measured(decibels):
     assert not said(found, "hardly determined")
 
 
+def test_a_record_too_short_to_show_it_says_so():
+    quiet, _ = record_of(0.02, 20, 0.0)
+    assert not said(identify(quiet), "So short a record")
+    assert said(identify(quiet[:250]), "So short a record may not show noise at the forces")
+
+
 def test_noise_that_cannot_be_measured_is_said_to_be_so():
     record, _ = record_of(0.02, 20, 0.0)
     assert said(identify(record, noise="innovations"), "Noise at the forces is hardly determined")

@@ -13,10 +13,12 @@ from .colour import PIECE, smooth_length
 
 class ForceNoise(NamedTuple):
     """`chance`: probability that white noise of the sensors leaves a residual as large where the system answers forces;
-    `samples`: independent samples of that answer, in which noise at the forces shows."""
+    `samples`: independent samples of that answer; `shown`: how far noise at the forces as large as theirs would raise
+    the statistic, in units of what it has by chance once in a hundred times, were M, D, K not bent to explain it."""
 
     chance: float
     samples: float
+    shown: float
 
 
 def force_noise(
@@ -34,7 +36,7 @@ def force_noise(
     likewise; both zero where samples are missing; `response`: of the outputs, in units of their noise, to forces, at a
     number of frequencies from 0 to half the sampling rate.
 
-    **Returns:** a `ForceNoise`, by a scaled χ² of that mean and variance: the samples are its degrees of freedom.
+    **Returns:** a `ForceNoise`, by a scaled χ² of that mean and variance.
 
     **Reference:** Zhang & Lin (2003), *Hypothesis testing in semiparametric additive mixed models*, Biostatistics 4.
     """
@@ -67,9 +69,12 @@ def force_noise(
     mean = trace - np.trace(taken)
     spread = 2 * (square - 2 * np.sum(inverse * twice) + np.sum(taken * taken.T))
     if not (mean > 0 and spread > 0 and variance > 0):
-        return ForceNoise(1.0, np.inf)
+        return ForceNoise(1.0, np.inf, np.inf)
     samples = float(2 * mean**2 / spread)
-    return ForceNoise(float(scipy.special.chdtrc(samples, statistic / variance * samples / mean)), samples)
+    # As large as that of the sensors it has twice their mean square, and its statistic by its own covariance.
+    count = sum(e.size for e in residuals) - parameters
+    shown = float((samples + count) / 2 / scipy.special.chdtri(samples, 0.01))
+    return ForceNoise(float(scipy.special.chdtrc(samples, statistic / variance * samples / mean)), samples, shown)
 
 
 def response_to_inputs(system: StateSpace, weights: Float[np.ndarray, "outputs outputs"], samples: int) -> Callable:
