@@ -5,9 +5,7 @@ import hidden
 import pytest
 from found import IDS, SAMPLES, check_found, diagnosed, generator, hidden_case, searched
 
-ALWAYS = (
-    """cubic_stiffness end_stop coulomb_friction input_delay sensor_offset unmodelled_mode stiffness_step""".split()
-)
+ALWAYS = "cubic_stiffness end_stop coulomb_friction input_delay sensor_offset unmodelled_mode stiffness_step".split()
 """Of every kind some; the others run with the slow tests, and each at three sizes in benchmarks/yardstick.py."""
 
 

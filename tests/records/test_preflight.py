@@ -24,7 +24,9 @@ from jaxgray.records import (
     read_record,
     white,
 )
+from jaxgray.records.checks.answers import least_lead
 from jaxgray.records.checks.defects import clipped, fast_noise, grid_step, spikes, stuck
+from jaxgray.records.checks.looked import Looked
 from jaxgray.records.checks.relations import mains_line
 
 STEP = 0.01
@@ -447,6 +449,16 @@ def test_figures_of_what_is_wrong_between_channels():
     assert values("mains_hum")["frequency_hz"] == pytest.approx(50.0, abs=0.05)
     y = related(0)[1]
     assert values("mains_hum")["amplitude"] == pytest.approx(0.02 * y[:, 0].std(), rel=0.1)
+
+
+@pytest.mark.parametrize("early", [6, 9])
+def test_inputs_are_put_off_by_as_much_as_an_output_comes_too_early(early):
+    for seed in range(3):
+        u, y, _ = related(seed)
+        lead, best = Looked(Record(u[:-early], y[early:], FAST)).aligned["y1"]
+        assert lead > early and best.share < 2e-3
+        assert least_lead(u[:-early], y[early:, 0], lead, best.share) == pytest.approx(early, abs=1)
+        assert Looked(Record(u, y, FAST)).early == {}
 
 
 def test_a_line_beside_a_resonance_is_seen_where_that_is_whitened():

@@ -365,8 +365,8 @@ def drift(looked: Looked) -> Iterator[RecordFinding]:
 def hum(looked: Looked) -> Iterator[RecordFinding]:
     record = looked.record
     for one in looked.answering:
+        left = one.y - from_rest(one.found, looked.u, one.beside)
         for frequency in MAINS_HZ:
-            left = one.y - from_rest(one.found, looked.u, one.beside)
             line = mains_line(left, one.found.a, looked.u, record.sampling_time, frequency)
             if line is not None and line[1] > LEAST_LINE * np.std(one.y):
                 seen, amplitude, above = line
