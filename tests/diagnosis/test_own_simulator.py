@@ -4,6 +4,7 @@ in them; and every way in which it can fail."""
 import dataclasses
 import os
 
+import independent
 import numpy as np
 import pendulum
 import pytest
@@ -193,6 +194,29 @@ def test_the_varying_plant_moves_as_the_simulator_does(hold):
         moved = problem.runs(problem.called(1 + change)).y[0] - run.y[0]
         foreseen = linear.run(here.with_entries(1 + change), wholes.data[0])[:SAMPLES] - run.y[0]
         assert np.std(foreseen - moved) < 0.1 * np.std(moved)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+@pytest.mark.parametrize("frequency", [15.0, 30.0])
+def test_the_linear_plant_of_a_stiff_drive_moves_as_the_simulator_does(frequency, hold):
+    # A hardly damped mode with 7 or 3 samples a period: forces by differences of the motion miss its resonance.
+    inertia, ends = np.diag([0.01, 0.05]), np.array([[1.0, -1.0], [-1.0, 1.0]])
+    coupling = (2 * np.pi * frequency) ** 2 / np.sum(1 / np.diag(inertia))
+    damping, stiffness = 0.02 * np.eye(2), coupling * ends + np.diag([0.0, 1.0])
+
+    def drive(u, w, numbers):
+        forces = np.concatenate([u, np.zeros_like(u)], axis=1) + w
+        return independent.simulate(inertia, damping, stiffness, forces, H, hold=hold)
+
+    u = independent.random_steps(np.random.default_rng(2), SAMPLES, 1, H, (0.1, 0.5))
+    record = jaxgray.Record(u, drive(u, np.zeros((SAMPLES, 2)), None), H, hold=hold)
+    problem = Problem(Simulator(drive, (), 2), (Span(record, slice(0, SAMPLES), None),), np.ones(0), FORCES)
+    run = problem.runs(problem.called(np.ones(0)))
+    problem.plant = linearized(problem.simulator, record, run.calls[0], run.y[0], np.random.default_rng(1))
+    linear = problem.linear_simulator(np.ones(0), 2)
+    wholes = problem.linear_data(linear, problem.with_forces(run))
+    moved = linear.run(Candidate(np.ones(0), wholes.states), wholes.data[0])[:SAMPLES]
+    assert np.all(np.std(moved - run.y[0], axis=0) < 2e-3 * np.std(run.y[0], axis=0))
 
 
 @pytest.mark.parametrize("law, size, most", [(pendulum.cubic, 0.3, 8), (pendulum.stop, 0.5, 24)])

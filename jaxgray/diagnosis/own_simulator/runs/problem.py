@@ -31,8 +31,9 @@ SIZES = 10.0 ** np.arange(-6, 7)
 IDLE = 1e-9
 """Force that a number takes, relative to the inputs, up to which it is rounding."""
 
-EXACT = 3
-"""Rounds in which the forces of a run are made exact for the steps of the linear plant."""
+EXACT, SHRUNK = 6, 0.5
+"""Rounds at most in which the forces of a run are made exact for the steps of the linear plant, and the share of its
+error that a round must leave at most, for another one."""
 
 RUNS_AWAY = "the linear plant that stands for it along its run runs away"
 
@@ -193,13 +194,25 @@ class Problem:
             there, rest = Candidate(linear.setup.here, (x0,)), np.zeros_like(y)
             changed = (call.u - span.record.u) @ self.plant.input_map.T
             varying = np.split(record.u[:, span.record.inputs :][:, : 2 * record.outputs], 2, axis=1)
+            best, nearest, share, further, size = rest, np.inf, 1.0, 0.0, np.maximum(np.std(y, axis=0), 1e-300)
             for _ in range(EXACT):
                 # What its steps make otherwise.
+                rest = best + share * further
                 pushed = Data.of(_pushed(record, span.record.inputs, changed + call.w + rest))
                 error = y - linear.motion(there, pushed)[0][: len(y)]
-                if not bounded(error):
-                    raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=RUNS_AWAY)
-                rest = rest + self.plant.forces_of(error, span.record)[0] + forces_beside(*varying, error, record)
+                left = float(np.max(np.std(error, axis=0) / size)) if bounded(error) else np.inf
+                if not left < nearest:
+                    # Near half the sampling rate a whole step may lead away.
+                    share /= 2
+                    continue
+                hardly = left > SHRUNK * nearest
+                best, nearest = rest, left
+                if hardly:
+                    break
+                further = self.plant.forces_of(error, span.record)[0] + forces_beside(*varying, error, record)
+            if not np.isfinite(nearest):
+                raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=RUNS_AWAY)
+            rest = best
             records.append(_pushed(record, span.record.inputs, rest))
             states.append(x0)
             rests.append(rest)
