@@ -43,8 +43,8 @@ from jaxgray.numerics.programs.stored_programs import FOLDER  # noqa: E402
 from jaxgray.report.documents import export  # noqa: E402
 
 shake_if_asked()
-# Records of 3000 and of 4000 samples share what is compiled.
-padding.LEAST_STEP = 2
+# Records of 1000 and 2000, and of 3000 and 4000 samples share what is compiled.
+padding.LEAST_STEP = 4
 # Both cores have work: what is compiled ahead, and then not needed, would take it from the other worker.
 compile_ahead.cores = lambda: 1
 # All that becomes JSON goes through it; the other modules import it later.
