@@ -50,18 +50,19 @@ def test_derivatives_along_every_direction_are_those_through_the_run(forces, sub
     # As refits ask for them: inputs stay as they are.
     still = Directions(*(rng.normal(size=(7, *shape)) for shape in shapes[:5]))
     zeros = Directions(*(np.zeros(shape) for shape in shapes))
+    through = jax.jit(jax.vmap(lambda one: jax.jvp(moved, (zeros,), (one,)), out_axes=(None, -1)))
+
+    @jax.jit
+    def run(one):
+        more = {"laws": laws, "substeps": jnp.asarray(substeps), "seen": seen}
+        return run_and_tangents(plant, x0, start, end, slots, one, T, **more)
+
     for directions in (along, still):
         filled = Directions(
             *(np.zeros((7, *shape)) if own is None else own for own, shape in zip(vars(directions).values(), shapes))
         )
-        wanted = jax.jit(jax.vmap(lambda one: jax.jvp(moved, (zeros,), (one,))[1], out_axes=-1))(filled)
-        run = jax.jit(
-            lambda one: run_and_tangents(
-                plant, x0, start, end, slots, one, T, laws=laws, substeps=jnp.asarray(substeps), seen=seen
-            )
-        )
-        y, J = run(directions)
-        np.testing.assert_allclose(y, moved(zeros), rtol=1e-9, atol=1e-9 * np.abs(y).max())
+        (clean, wanted), (y, J) = through(filled), run(directions)
+        np.testing.assert_allclose(y, clean, rtol=1e-9, atol=1e-9 * np.abs(y).max())
         assert J.shape == (SAMPLES, 2, 7)
         np.testing.assert_allclose(J, wanted, rtol=1e-8, atol=1e-10 * np.abs(wanted).max())
         assert np.abs(wanted[:, 0]).max() > 1e-3 and np.abs(wanted[:, 1]).max() > 1e-3

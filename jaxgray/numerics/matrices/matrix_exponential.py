@@ -1,5 +1,7 @@
 """Matrix exponential in traced code: one Padé approximant, scaling and squaring."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +29,7 @@ _RADIUS = 5.371920351148152
 _SQUARINGS = 16
 
 
+@functools.partial(jax.jit, inline=True)
 def matrix_exponential(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """exp(A) by the [13/13] Padé approximant, for norms up to 3e5.
 

@@ -9,6 +9,8 @@ with T block-Toeplitz in the Markov parameters. T U_b is one matrix product for 
 the short recursion in x_b remains, which is lifted a second time when the state is small.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -131,6 +133,7 @@ def block_starts(
     return starts[:blocks], starts[blocks]
 
 
+@functools.partial(jax.jit, static_argnames="block", inline=True)
 def respond(
     A: Float[Array, "states states"],
     B: Float[Array, "states inputs"],
