@@ -8,6 +8,7 @@ import scipy.linalg
 import scipy.signal
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from jaxgray.numerics.matrices.bounded import column_sizes
 from jaxgray.numerics.matrices.linear_algebra import (
     dominant_subspace,
     duplication,
@@ -50,6 +51,12 @@ def test_triangular_factor_by_blocks_has_the_products_of_the_matrix(rows):
     R = np.asarray(triangular_factor(jnp.asarray(X)))
     assert R.shape == (3, 3) and np.all(np.tril(R, -1) == 0)
     np.testing.assert_allclose(np.abs(R), np.abs(np.linalg.qr(X, mode="r")), rtol=1e-12)
+
+
+def test_a_column_that_is_next_to_nothing_has_no_size():
+    # The product of two such sizes is no number any more, and its inverse overflows.
+    table = np.array([[3.0, 0.0, 3e-160, 3e-90], [4.0, 0.0, 4e-160, 4e-90]])
+    np.testing.assert_allclose(column_sizes(table), [5.0, 1.0, 1.0, 5e-90])
 
 
 @pytest.mark.parametrize("norm", [1e-6, 0.1, 3.0, 200.0])

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...mechanics.effects.base import Term
-from ...numerics.matrices.bounded import bounded
+from ...numerics.matrices.bounded import bounded, column_sizes
 from ...numerics.matrices.linear_algebra import duplication, from_symmetric_vector
 from ...numerics.matrices.positive import ClarabelSolver, PositiveLeastSquares
 from .. import settings
@@ -186,8 +186,7 @@ class Equation:
         for _ in range(STEPS if terms else 0):
             e, slopes, _ = now
             J = slopes - Q @ (Q.T @ slopes)
-            size = np.linalg.norm(J, axis=0)
-            size = np.where(size > 0, size, 1.0)
+            size = column_sizes(J)
             normal = (J / size).T @ (J / size) + damping * np.eye(J.shape[1])
             step = np.linalg.lstsq(normal, (J / size).T @ e, rcond=1e-12)[0] / size
             trial_terms = _moved(terms, step, moving)
@@ -205,8 +204,7 @@ class Equation:
         rest = F - plain
         entries = np.linalg.lstsq(R, Q.T @ rest, rcond=1e-12)[0] / np.where(scale > 0, scale, 1.0)
         table = np.concatenate([L, slopes], axis=1)
-        size = np.linalg.norm(table, axis=0)
-        size = np.where(size > 0, size, 1.0)
+        size = column_sizes(table)
         cost, count = float(e @ e), len(e) * weight.share
         inverse = np.linalg.pinv((table / size).T @ (table / size), rcond=1e-12, hermitian=True)
         covariance = inverse / np.outer(size, size) * cost / max(count - table.shape[1], 1)

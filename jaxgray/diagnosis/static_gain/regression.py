@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ...mechanics.effects.base import AbstractForceEffect, Place, Scales, Term
 from ...mechanics.runs.extended import held_input
-from ...numerics.matrices.bounded import bounded
+from ...numerics.matrices.bounded import bounded, column_sizes
 from ...numerics.programs.stored_programs import stored
 from ...records import Record
 from ..model.candidate import estimated
@@ -121,7 +121,7 @@ class Static:
             return None
         (offset, gain, terms), e, J, simulated = found
         outputs, inputs = gain.shape
-        split, size, cost = outputs * (1 + inputs), _norms(J), float(e @ e) / len(e)
+        split, size, cost = outputs * (1 + inputs), column_sizes(J), float(e @ e) / len(e)
         covariance = np.linalg.pinv((J / size).T @ (J / size), rcond=1e-12, hermitian=True) / np.outer(size, size)
         covariance = covariance * cost
         errors = np.sqrt(np.maximum(np.diag(covariance)[outputs:split], 0.0)).reshape(outputs, inputs)
@@ -213,7 +213,7 @@ class Static:
             columns.append(np.stack([*straight, *(column[kept] for column in made)], axis=1))
             e.append(run.e[kept])
         table = np.concatenate(columns)
-        size = _norms(table)
+        size = column_sizes(table)
         count = len(term.effect.basis(np.asarray(term.values)))
         weights = (np.linalg.lstsq(table / size, np.concatenate(e), rcond=1e-12)[0] / size)[-count:]
         return Term(term.effect, term.place, term.effect.bounded(term.effect.combine(np.asarray(term.values), weights)))
@@ -280,7 +280,7 @@ def _descended(point, at, moved, steps: int):
     now, damping = at(point), 0.0
     for _ in range(steps if now is not None else 0):
         e, J = now[:2]
-        size = _norms(J)
+        size = column_sizes(J)
         normal = (J / size).T @ (J / size) + damping * np.eye(J.shape[1])
         trial = moved(point, np.linalg.lstsq(normal, (J / size).T @ e, rcond=1e-12)[0] / size)
         new = at(trial)
@@ -298,12 +298,6 @@ def _descended(point, at, moved, steps: int):
 
 def _is_spring(term: Term) -> bool:
     return isinstance(term.effect, AbstractForceEffect)
-
-
-def _norms(J: np.ndarray) -> np.ndarray:
-    """Norms of columns, 1 for what this record does not show."""
-    size = np.linalg.norm(J, axis=0)
-    return np.where(size > 1e-100, size, 1.0)
 
 
 def _moved(terms, step):

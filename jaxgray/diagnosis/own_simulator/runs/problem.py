@@ -20,7 +20,16 @@ from ...model.free_run import FreeRun, rms_of
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time
-from .tracking import as_linear, forces_beside, forces_by_number, near_until, relative_error, tracked, until
+from .tracking import (
+    as_linear,
+    forces_beside,
+    forces_by_number,
+    motion_size,
+    near_until,
+    relative_error,
+    tracked,
+    until,
+)
 
 SEEN = 0.1
 """Answer to a number that was given as 0, as it counts for one of size, relative to the motion."""
@@ -194,13 +203,14 @@ class Problem:
             there, rest = Candidate(linear.setup.here, (x0,)), np.zeros_like(y)
             changed = (call.u - span.record.u) @ self.plant.input_map.T
             varying = np.split(record.u[:, span.record.inputs :][:, : 2 * record.outputs], 2, axis=1)
-            best, nearest, share, further, size = rest, np.inf, 1.0, 0.0, np.maximum(np.std(y, axis=0), 1e-300)
+            best, nearest, share, further, size = rest, np.inf, 1.0, 0.0, motion_size(span.record)
             for _ in range(EXACT):
                 # What its steps make otherwise.
                 rest = best + share * further
                 pushed = Data.of(_pushed(record, span.record.inputs, changed + call.w + rest))
                 error = y - linear.motion(there, pushed)[0][: len(y)]
-                left = float(np.max(np.std(error, axis=0) / size)) if bounded(error) else np.inf
+                with np.errstate(over="ignore"):
+                    left = float(np.max(np.std(error, axis=0) / size)) if bounded(error) else np.inf
                 if not left < nearest:
                     # Near half the sampling rate a whole step may lead away.
                     share /= 2
