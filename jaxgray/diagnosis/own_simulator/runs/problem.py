@@ -200,34 +200,43 @@ class Problem:
         records, states, rests = [], [], []
         for span, call, y, S in zip(self.spans, runs.calls, runs.y, runs.by_number):
             record, x0 = as_linear(span.record, self.plant, call, y, S)
-            there, rest = Candidate(linear.setup.here, (x0,)), np.zeros_like(y)
-            changed = (call.u - span.record.u) @ self.plant.input_map.T
-            varying = np.split(record.u[:, span.record.inputs :][:, : 2 * record.outputs], 2, axis=1)
-            best, nearest, share, further, size = rest, np.inf, 1.0, 0.0, motion_size(span.record)
-            for _ in range(EXACT):
-                # What its steps make otherwise.
-                rest = best + share * further
-                pushed = Data.of(_pushed(record, span.record.inputs, changed + call.w + rest))
-                error = y - linear.motion(there, pushed)[0][: len(y)]
-                with np.errstate(over="ignore"):
-                    left = float(np.max(np.std(error, axis=0) / size)) if bounded(error) else np.inf
-                if not left < nearest:
-                    # Near half the sampling rate a whole step may lead away.
-                    share /= 2
-                    continue
-                hardly = left > SHRUNK * nearest
-                best, nearest = rest, left
-                if hardly:
-                    break
-                further = self.plant.forces_of(error, span.record)[0] + forces_beside(*varying, error, record)
-            if not np.isfinite(nearest):
-                raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=RUNS_AWAY)
-            rest = best
+            rest = self._rest(linear, span.record, call, y, record, x0)
             records.append(_pushed(record, span.record.inputs, rest))
             states.append(x0)
             rests.append(rest)
         data = tuple(Data.of(record) for record in records)
         return Linear(tuple(records), tuple(states), data, runs.by_number, runs.y, tuple(rests), runs.along)
+
+    def _rest(
+        self, linear: NumbersSimulator, measured: Record, call: Call, y: np.ndarray, record: Record, x0: np.ndarray
+    ) -> Float[np.ndarray, "samples dofs"]:
+        """Forces that the linear plant needs, beside those of its `record` and first state, to move as a run does in
+        steps of its own.
+
+        **Raises:** `ComputationError` where it runs away.
+        """
+        there, inputs = Candidate(linear.setup.here, (x0,)), measured.inputs
+        given = (call.u - measured.u) @ self.plant.input_map.T + call.w
+        varying = np.split(record.u[:, inputs:][:, : 2 * record.outputs], 2, axis=1)
+        size, share, further = motion_size(measured), 1.0, 0.0
+        best, nearest = np.zeros_like(y), np.inf
+        for _ in range(EXACT):
+            rest = best + share * further
+            error = y - linear.motion(there, Data.of(_pushed(record, inputs, given + rest)))[0][: len(y)]
+            with np.errstate(over="ignore"):
+                left = float(np.max(np.std(error, axis=0) / size)) if bounded(error) else np.inf
+            if not left < nearest:
+                # Near half the sampling rate a whole step may lead away.
+                share /= 2
+                continue
+            hardly = left > SHRUNK * nearest
+            best, nearest = rest, left
+            if hardly:
+                break
+            further = self.plant.forces_of(error, measured)[0] + forces_beside(*varying, error, record)
+        if not np.isfinite(nearest):
+            raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=RUNS_AWAY)
+        return best
 
     def about(
         self, linear: NumbersSimulator, candidate: Candidate, wholes: "Linear", runs: Runs
