@@ -1,6 +1,7 @@
 """Arrays by name to records: npz, mat, hdf5, parquet, data frames."""
 
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,18 @@ def test_structures_groups_and_unit_attributes(tmp_path):
 def test_objects_in_an_npz_are_never_unpickled(tmp_path):
     _, u, y = columns()
     np.savez(tmp_path / "a.npz", u=u, y=y[:, 0], extra=np.array([{}, None], dtype=object))
+    record = read_record(tmp_path / "a.npz", inputs="u", outputs="y", sampling_time=0.1)
+    np.testing.assert_array_equal(record.u[:, 0], u)
+    with pytest.raises(ValueError, match="no column 'extra'"):
+        read_record(tmp_path / "a.npz", inputs="extra", outputs="y", sampling_time=0.1)
+
+
+@pytest.mark.parametrize("head", [b"[" * 1000 + b"\n", b"-" * 9000 + b"1\n"])
+def test_a_head_that_is_too_much_for_a_parser_is_no_array(tmp_path, head):
+    _, u, y = columns()
+    np.savez(tmp_path / "a.npz", u=u, y=y[:, 0])
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+        archive.writestr("extra.npy", b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head)
     record = read_record(tmp_path / "a.npz", inputs="u", outputs="y", sampling_time=0.1)
     np.testing.assert_array_equal(record.u[:, 0], u)
     with pytest.raises(ValueError, match="no column 'extra'"):

@@ -5,6 +5,7 @@ where the file is large enough to hold them.
 """
 
 import functools
+import tokenize
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -89,7 +90,8 @@ def _npy_head(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[tuple[
             first = np.lib.format.read_magic(file) == (1, 0)
             header = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
             shape, _, dtype = header(file)
-        except ValueError:
+        except (ValueError, MemoryError, tokenize.TokenError):
+            # The last two are what Python's parser says of brackets within brackets.
             return none
     return shape, dtype
 
