@@ -99,6 +99,19 @@ def test_shapes_that_the_file_cannot_hold(folder, shape):
     refused(folder / "a.npz", "a.npz")
 
 
+def test_a_unit_that_is_no_text_any_more_is_left_out(folder):
+    path = folder / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["u"], file["y"] = SERIES, SERIES
+        file["u"].attrs["units"] = "N"
+    # A type of variable length: one bit tells texts from sequences, at whose elements the library crashed.
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"\x19\x01\x01", b"\x19\x00\x01"))
+    assert content.count(b"\x19\x01\x01") == 1
+    record = read_record(path, inputs="u", outputs="y", sampling_time=0.1)
+    assert record.input_units == ("",)
+
+
 def bombs(folder):
     """Files of a few kilobytes that declare, or expand to, gigabytes."""
     zeros = bytes(2**22)

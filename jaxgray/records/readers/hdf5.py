@@ -126,10 +126,14 @@ def readable(path: Path, node, rows: int | None = None):
 
 
 def _unit(node, sound: Callable[[], bool]) -> str:
+    import h5py
+
     for name in ("units", "unit"):
         if name in node.attrs:
             attribute = node.attrs.get_id(name)
-            fits = attribute.shape == () and attribute.dtype.kind in "SUO" and attribute.dtype.itemsize <= LONGEST_UNIT
+            # Other objects of variable length than texts make the library crash where they are damaged.
+            text = h5py.check_string_dtype(attribute.dtype) is not None
+            fits = text and attribute.shape == () and attribute.dtype.itemsize <= LONGEST_UNIT
             # Texts of variable length are kept as objects, and lie in a heap of the file.
             if fits and (attribute.dtype.kind != "O" or sound()):
                 unit = node.attrs[name]
