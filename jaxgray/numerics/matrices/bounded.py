@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 LARGEST = 1e100
-"""Values up to which the product of three is a number, as it is of three down to its inverse."""
+"""Values up to which, and down to the inverse of which, the product of three is a number."""
 
 
 def bounded(*arrays: np.ndarray) -> bool:

@@ -6,6 +6,7 @@ plain least squares on the force equation gives M, D, K, and E; under forces tha
 motion is its acceleration, averaged about the sample as the forces are.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,11 +94,12 @@ class Linearized:
         """Forces at the coordinates, and the first state, under which the plant makes a motion."""
         h = like.sampling_time
         x0 = np.concatenate([q[0], (-3 * q[0] + 4 * q[1] - q[2]) / (2 * h)])
-        w = self._balance(q, like)
+        balance = self._balance(like)
+        w = balance(q)
         # A record does not begin at rest: its first force is that after it, about.
         w[0] = w[1] if like.hold == "linear" else 2 * w[1] - w[2]
         for _ in range(STEPS):
-            w = w + self._balance(q - self.response(w, like, x0), like)
+            w = w + balance(q - self.response(w, like, x0))
         return w, x0
 
     def forces_beside(self, error: np.ndarray, motion: np.ndarray, like: Record) -> np.ndarray:
@@ -116,21 +118,27 @@ class Linearized:
         D, K = (np.diag(table[:, k * dofs : (k + 1) * dofs]) for k in (1, 2))
         return stiffness + K - np.diag(self.stiffness), damping + D - np.diag(self.damping)
 
-    def _balance(self, q: Float[np.ndarray, "samples dofs"], like: Record) -> Float[np.ndarray, "samples dofs"]:
-        """Forces under a motion from rest, as held inputs, by what the sampled plant makes of three samples in a row:
-        wrong to second order in the frequency, and at a resonance no more than beside it."""
+    def _balance(self, like: Record) -> Callable[[np.ndarray], np.ndarray]:
+        """From a motion that begins at rest (samples × dofs) to the forces under it (the same), held as the inputs of a
+        record are, by what the sampled plant makes of three samples in a row: wrong to second order in the frequency,
+        and at a resonance no more than beside it."""
         dofs, D, K = len(self.mass), self.damping[None], self.stiffness[None]
         A, B = (X[0] for X in sampled_over_time(self.mass, D, K, like.sampling_time))
         into = A[:dofs, dofs:]
         back = into @ A[dofs:, dofs:] @ np.linalg.inv(into)
-        padded = np.concatenate([np.zeros((1, dofs)), q])
-        # What acts over two samples, from the middle one.
         first, last = into @ A[dofs:, :dofs] - back @ A[:dofs, :dofs], A[:dofs, :dofs] + back
-        taken = padded[2:] - padded[1:-1] @ last.T - padded[:-2] @ first.T
-        made = np.linalg.solve(B[:dofs] + into @ B[dofs:] - back @ B[:dofs], taken.T).T
-        made = np.concatenate([made, made[-1:]])
-        # Held forces act half a sample later than where they are given: a mean of what is before and after.
-        return made if like.hold == "linear" else over_samples(made)
+        given = B[:dofs] + into @ B[dofs:] - back @ B[:dofs]
+
+        def balance(q):
+            padded = np.concatenate([np.zeros((1, dofs)), q])
+            # What acts over two samples, from the middle one.
+            taken = padded[2:] - padded[1:-1] @ last.T - padded[:-2] @ first.T
+            made = np.linalg.solve(given, taken.T).T
+            made = np.concatenate([made, made[-1:]])
+            # Held forces act half a sample later than where they are given: a mean of what is before and after.
+            return made if like.hold == "linear" else over_samples(made)
+
+        return balance
 
 
 @dataclass(frozen=True)

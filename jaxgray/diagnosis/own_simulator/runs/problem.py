@@ -24,9 +24,9 @@ from .tracking import (
     as_linear,
     forces_beside,
     forces_by_number,
-    motion_size,
     near_until,
     relative_error,
+    relative_size,
     tracked,
     until,
 )
@@ -218,13 +218,13 @@ class Problem:
         there, inputs = Candidate(linear.setup.here, (x0,)), measured.inputs
         given = (call.u - measured.u) @ self.plant.input_map.T + call.w
         varying = np.split(record.u[:, inputs:][:, : 2 * record.outputs], 2, axis=1)
-        size, share, further = motion_size(measured), 1.0, 0.0
-        best, nearest = np.zeros_like(y), np.inf
+        best, nearest, share, further = np.zeros_like(y), np.inf, 1.0, 0.0
         for _ in range(EXACT):
             rest = best + share * further
             error = y - linear.motion(there, Data.of(_pushed(record, inputs, given + rest)))[0][: len(y)]
-            with np.errstate(over="ignore"):
-                left = float(np.max(np.std(error, axis=0) / size)) if bounded(error) else np.inf
+            left = relative_size(measured, error) if bounded(error) else np.inf
+            if not np.isfinite(min(left, nearest)):
+                raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=RUNS_AWAY)
             if not left < nearest:
                 # Near half the sampling rate a whole step may lead away.
                 share /= 2
@@ -234,8 +234,6 @@ class Problem:
             if hardly:
                 break
             further = self.plant.forces_of(error, measured)[0] + forces_beside(*varying, error, record)
-        if not np.isfinite(nearest):
-            raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=RUNS_AWAY)
         return best
 
     def about(

@@ -186,7 +186,7 @@ def near_until(record: Record, y: np.ndarray, limit: float = NEAR) -> int:
     e, kept = record.y - y, np.isfinite(record.y)
     # Of the record alone: what a run leaves may be no noise.
     noise = np.sqrt(np.maximum(white_part(np.nan_to_num(record.y), kept), 0.0))
-    far = np.any(np.abs(np.where(kept, e, 0.0)) > limit * motion_size(record) + BEYOND * noise, axis=1)
+    far = np.any(np.abs(np.where(kept, e, 0.0)) > limit * _motion(record) + BEYOND * noise, axis=1)
     left = np.convolve(far, np.ones(IN_A_ROW), mode="valid") == IN_A_ROW
     end = int(np.argmax(left)) if np.any(left) else len(y)
     return end if end >= IN_A_ROW else len(y)
@@ -202,7 +202,7 @@ def following_force(
 
     **Reference:** Rauch, Tung & Striebel, AIAA J. 3 (1965) 1445-1450.
     """
-    dofs, motion, whole = y.shape[1], motion_size(record), w.copy()
+    dofs, motion, whole = y.shape[1], _motion(record), w.copy()
     last = int(np.max(np.flatnonzero(np.isfinite(record.y).any(axis=1)), initial=1)) + 1
     w, y, known = w[:last], y[:last], record.y[:last]
     e, kept = known - y, np.isfinite(known)
@@ -310,7 +310,7 @@ def forces_by_number(
             there = simulator.runs([stepped(unit, step)])[0]
             if isinstance(there, Failure):
                 simulator.finished(stepped(unit, NUMBER), more)
-        while np.any(np.max(np.abs(there - y), axis=0) > SMALL * motion_size(record)) and abs(step) > NUMBER / 50:
+        while np.any(np.max(np.abs(there - y), axis=0) > SMALL * _motion(record)) and abs(step) > NUMBER / 50:
             step /= 10
             there = simulator.run(stepped(unit, step))
         found.append(plant.forces_beside(y - there, y, record) / step)
@@ -319,13 +319,16 @@ def forces_by_number(
 
 def relative_error(record: Record, y: np.ndarray) -> float:
     """Root mean square error of a run, every output in units of its own motion."""
-    e = np.where(np.isfinite(record.y), record.y - y, 0.0)
+    return relative_size(record, np.where(np.isfinite(record.y), record.y - y, 0.0))
+
+
+def relative_size(record: Record, error: Float[np.ndarray, "samples dofs"]) -> float:
+    """Root mean square of an error, every output in units of its motion in a record; infinite where that overflows."""
     with np.errstate(over="ignore"):
-        # A run that runs away is infinitely far.
-        return float(np.sqrt(np.mean((e / motion_size(record)) ** 2)))
+        return float(np.sqrt(np.mean((error / _motion(record)) ** 2)))
 
 
-def motion_size(record: Record) -> Float[np.ndarray, " dofs"]:
+def _motion(record: Record) -> Float[np.ndarray, " dofs"]:
     """Size of the motion of every output, of one that hardly moves a share of the largest."""
     size = np.nanstd(record.y, axis=0)
     return np.maximum(size, 1e-3 * np.max(size)) + 1e-300
