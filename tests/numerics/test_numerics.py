@@ -26,7 +26,7 @@ from jaxgray.numerics.matrices.riccati import kalman_gain
 from jaxgray.numerics.outcomes import ComputationError
 from jaxgray.numerics.programs.runtime import COLLECT_AFTER, undisturbed
 from jaxgray.numerics.responses.filters import correlation, filtered
-from jaxgray.numerics.responses.lifting import free_response, respond
+from jaxgray.numerics.responses.lifting import free_response, respond, scaled_free_response
 
 
 @pytest.mark.parametrize("samples", [1, 31, 32, 500, 5000])
@@ -43,6 +43,15 @@ def test_blocked_response_equals_sample_by_sample(samples):
     free = free_response(A, jnp.asarray(C), samples) @ x0
     zero = respond(A, B, C, D, 0 * u, x0)
     np.testing.assert_allclose(free, zero, atol=1e-11)
+
+
+def test_a_first_state_that_moves_no_output_is_no_hole():
+    # An accelerometer on a mass without a spring: where it begins shows nowhere.
+    A, C = jnp.array([[1.0, 0.9], [0.0, 0.8]]), jnp.array([[0.0, -0.3]])
+    free = np.asarray(scaled_free_response(A, C, 200))
+    assert np.allclose(np.sqrt(np.mean(free**2, axis=(0, 1))), [0.0, 1.0])
+    slope = jax.grad(lambda x: jnp.sum(scaled_free_response(A.at[1, 1].set(x), C, 200) ** 2))(0.8)
+    assert np.isfinite(slope)
 
 
 @pytest.mark.parametrize("rows", [5, 48, 200])

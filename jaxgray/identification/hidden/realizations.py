@@ -16,7 +16,7 @@ from ...mechanics.systems.statespace import StateSpace, hold_matrices
 from ...numerics.matrices.linear_algebra import least_squares, null_basis, triangular_factor
 from ...numerics.outcomes import RESULTS, ComputationError
 from ...numerics.programs.stored_programs import stored
-from ...numerics.responses.lifting import free_response, respond
+from ...numerics.responses.lifting import respond, scaled_free_response
 from ..setup.prediction import best_run
 from ..setup.preparation import Signals
 from ..subspace.filter_bank import pole
@@ -122,8 +122,7 @@ def fitted_input(
     by_input = jax.vmap(response, (None, None, 1), -1)
     samples, outputs = signals.y.shape
     responses = jax.vmap(by_input, (1, 1, None), -2)(Bd, Dd, signals.u).reshape(samples, outputs, -1)
-    free = free_response(Ad, Cy, samples)
-    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
+    free = scaled_free_response(Ad, Cy, samples)
     offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
     size = jnp.sqrt(jnp.mean(responses**2, axis=(0, 1)))
     size = jnp.where(size > 0, size, 1.0)

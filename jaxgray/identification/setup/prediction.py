@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ...mechanics.systems.drives import AbstractDrive
 from ...mechanics.systems.statespace import StateSpace, sampled
 from ...numerics.matrices.riccati import kalman_gain
-from ...numerics.responses.lifting import SHORT_BLOCK, free_response, respond
+from ...numerics.responses.lifting import SHORT_BLOCK, respond, scaled_free_response
 from .preparation import Signals
 
 RIDGE = 1e-11
@@ -92,8 +92,7 @@ def free_run(system: StateSpace, batch: Batch, nuisance: Nuisance) -> Float[Arra
 def best_run(system: StateSpace, signals: Signals) -> tuple[Float[Array, "samples outputs"], Float[Array, " outputs"]]:
     """Free run of a sampled system with the best first state and offsets, and its mean square residual per output."""
     samples, outputs = signals.y.shape
-    free = free_response(system.A, system.C, samples)
-    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
+    free = scaled_free_response(system.A, system.C, samples)
     offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
     forced = respond(system.A, system.B, system.C, system.D, signals.u)
     table = jnp.concatenate([free, offsets], axis=2)

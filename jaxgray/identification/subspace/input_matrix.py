@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ...mechanics.systems.drives import ORDER
 from ...mechanics.systems.statespace import hold_matrices
 from ...numerics.matrices.linear_algebra import triangular_factor
-from ...numerics.responses.lifting import free_response, respond
+from ...numerics.responses.lifting import respond, scaled_free_response
 from .projection import Data
 from .realization import Realization
 
@@ -74,8 +74,7 @@ def fit_to_record(
 
     by_input = jax.vmap(response, (None, None, 1), -1)
     responses = jax.vmap(by_input, (1, 1, None), -2)(Bd, Dd, u).reshape(samples, outputs, -1)
-    free = free_response(Ad, C, samples)
-    free = free / jnp.sqrt(jnp.mean(free**2, axis=(0, 1)))
+    free = scaled_free_response(Ad, C, samples)
     offsets = jnp.broadcast_to(jnp.eye(outputs), (samples, outputs, outputs))
     table = jnp.concatenate([free, offsets, responses, y[:, :, None]], axis=2) * kept[:, :, None]
     nuisance = free.shape[2] + outputs

@@ -206,3 +206,13 @@ def free_response(
     block = (C @ chain[:BLOCK]).reshape(BLOCK * outputs, states)
     heads = powers(chain[BLOCK], -(-samples // BLOCK))
     return (block @ heads).reshape(-1, outputs, states)[:samples]
+
+
+def scaled_free_response(
+    A: Float[Array, "states states"], C: Float[Array, "outputs states"], samples: int
+) -> Float[Array, "samples outputs states"]:
+    """The same, every first state in units of what it moves: zero where it moves nothing, as the first displacement of
+    what hangs on no spring moves no accelerometer."""
+    free = free_response(A, C, samples)
+    power = jnp.mean(free**2, axis=(0, 1))
+    return free / jnp.sqrt(jnp.where(power > 0, power, 1.0))
