@@ -117,6 +117,8 @@ def diagnose(
     - `simulator`: the user's own simulation y = f(u, w, θ) in the place of a model, of one whole record from its start:
       inputs (samples × inputs), forces w at the coordinates of the outputs (samples × outputs, held as the inputs are)
       and numbers θ by name → displacements (samples × outputs). Which of its numbers are off, then which laws it lacks.
+      One that also has `momenta`, `forces` and `windows`, as `MujocoSimulator` has them, is judged by the balance of
+      its forces along the measured motion where no run of it follows the record, as of an arm held upright.
     - `parameters`: θ as the simulator has them; a number keeps its sign, and one that is 0 does not become negative.
     - `workers`: processes that run the simulator side by side (it must then be importable); default 1.
     - `simulated`: outputs of the user's own simulation of the record's inputs, where they are all that is known of it:

@@ -20,6 +20,9 @@ from .inputs import held, named
 TIME = 1e-6
 """Part of a step by which a sampling time may miss a whole number of them."""
 
+TURN = 1e-4
+"""Time [s] ahead and back over which the change of the masses along a motion is taken."""
+
 
 class MujocoSimulator:
     """A model of MuJoCo, run from the first sample of a record at rest.
@@ -91,29 +94,100 @@ class MujocoSimulator:
         **Arguments:** `u`: controls of the actuators; `w`: torques [N m] or forces [N] at the joints beside them, both
         held as the record's inputs are; `numbers` by name, in units of MJCF.
         """
+        model = self.changed(numbers)
+        first = np.concatenate([self.begin, np.zeros(len(self.begin))])
+        return self._run(model, first[None], u[None], w[None])[0]
+
+    def windows(
+        self,
+        first: Float[np.ndarray, "windows states"],
+        u: Float[np.ndarray, "windows samples inputs"],
+        w: Float[np.ndarray, "windows samples outputs"],
+        numbers: Mapping[str, float],
+    ) -> Float[np.ndarray, "windows samples outputs"]:
+        """Positions of the joints in several runs of one length, each from a state of its own.
+
+        **Arguments:** `first`: positions, then velocities of the joints, at the first sample; `u`, `w`, `numbers` as of
+        a call.
+        """
+        return self._run(self.changed(numbers), first, u, w)
+
+    def momenta(
+        self,
+        q: Float[np.ndarray, "samples outputs"],
+        v: Float[np.ndarray, "samples outputs"],
+        numbers: Mapping[str, float],
+    ) -> Float[np.ndarray, "samples outputs"]:
+        """Generalised momenta M(q) q̇ at some positions and velocities of the joints, [kg m²/s] of hinges and [kg m/s]
+        of slides."""
+        mujoco = mjcf.library()
+        model, of = self.changed(numbers), np.empty((len(q), len(self.outputs)))
+        data, made = mujoco.MjData(model), np.zeros(model.nv)
+        at, dofs = self._joints(model)
+        for k in range(len(q)):
+            data.qpos[at], data.qvel[dofs] = q[k], v[k]
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_mulM(model, data, made, data.qvel.copy())
+            of[k] = made[dofs]
+        return of
+
+    def forces(
+        self,
+        q: Float[np.ndarray, "samples outputs"],
+        v: Float[np.ndarray, "samples outputs"],
+        u: Float[np.ndarray, "samples inputs"],
+        numbers: Mapping[str, float],
+    ) -> tuple[Float[np.ndarray, "samples outputs"], Float[np.ndarray, "samples outputs"]]:
+        """What changes these momenta, [N m] of hinges and [N] of slides: what goes with the motion (weight, centrifugal
+        forces, damping, friction, springs), and what the actuators do."""
+        mujoco = mjcf.library()
+        model, made = self.changed(numbers), np.empty((2, len(q), len(self.outputs)))
+        data, turned = mujoco.MjData(model), np.zeros(model.nv)
+        at, dofs = self._joints(model)
+        actuators = self._actuators(model)
+        for k in range(len(q)):
+            data.qpos[at], data.qvel[dofs], data.ctrl[actuators] = q[k], v[k], u[k]
+            mujoco.mj_forward(model, data)
+            made[1, k] = data.qfrc_actuator[dofs]
+            # Without acceleration: what would have to act.
+            data.qacc[:] = 0.0
+            mujoco.mj_inverse(model, data)
+            own, speed = -data.qfrc_inverse[dofs], data.qvel.copy()
+            for ahead in (TURN, -TURN):
+                data.qpos[at] = q[k] + ahead * v[k]
+                mujoco.mj_fwdPosition(model, data)
+                mujoco.mj_mulM(model, data, turned, speed)
+                own = own + turned[dofs] / (2 * ahead)
+            made[0, k] = own
+        return made[0], made[1]
+
+    def _run(self, model, first, u, w) -> Float[np.ndarray, "runs samples outputs"]:
+        """Positions of the joints in several runs of one length; NaN from where one goes astray."""
         mujoco = mjcf.library()
         rollout = importlib.import_module("mujoco.rollout")
-        model = self.changed(numbers)
         data = mujoco.MjData(model)
         at, dofs = self._joints(model)
-        data.qpos[at] = self.begin
-        mujoco.mj_forward(model, data)
+        # Time comes first in a state, then positions and velocities; an actuator begins with nothing in it.
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-        state = np.empty(mujoco.mj_stateSize(model, kind))
-        mujoco.mj_getState(model, data, state, kind)
+        state = np.empty((len(first), mujoco.mj_stateSize(model, kind)))
+        positions, velocities = np.split(first, 2, axis=1)
+        for k in range(len(first)):
+            data.qpos[at], data.qvel[dofs] = positions[k], velocities[k]
+            mujoco.mj_forward(model, data)
+            mujoco.mj_getState(model, data, state[k], kind)
         steps = self._steps(model)
-        forces = np.zeros((len(u), model.nu + model.nv))
-        forces[:, self._actuators(model)], forces[:, model.nu + dofs] = u, w
+        forces = np.zeros((*u.shape[:2], model.nu + model.nv))
+        forces[:, :, self._actuators(model)], forces[:, :, model.nu + dofs] = u, w
         spec = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
-        control = held(forces, steps, self.hold)
+        control = np.stack([held(one, steps, self.hold)[:-steps] for one in forces])
         with _quiet(mujoco):
-            states, _ = rollout.rollout(model, data, state, control[:-steps], control_spec=spec)
-        # Time comes first in a state, then the positions.
-        y = np.concatenate([[self.begin], states[0, steps - 1 :: steps][:, 1 + at]])
+            states, _ = rollout.rollout(model, data, state, control, control_spec=spec)
+        y = np.concatenate([positions[:, None], states[:, steps - 1 :: steps][:, :, 1 + at]], axis=1)
         # It begins anew by itself where it goes astray.
-        astray = np.diff(states[0, :, 0]) < 0
-        if np.any(astray):
-            y[1 + int(np.argmax(astray)) // steps :] = np.nan
+        for one, times in zip(y, states[:, :, 0]):
+            astray = np.diff(times) < 0
+            if np.any(astray):
+                one[1 + int(np.argmax(astray)) // steps :] = np.nan
         return y
 
     def changed(self, numbers: Mapping[str, float]):

@@ -15,9 +15,10 @@ from ..equation_error.regression import ForceFit
 from ..equation_error.search import Search
 from ..equation_error.unmeasured_forces import warnings_of
 from ..findings import Curves, Finding, Member, ModelSummary, Move, NotFound
-from ..model.free_run import FreeRun, overall, rms_of
+from ..model.free_run import overall, rms_of
 from ..noise.whitening import white_part
 from ..result import Diagnosis
+from ..selection import Runs
 from .assembly import estimates_of, shifts_of
 
 
@@ -41,9 +42,8 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
     extended = gain = None
     shifts = ()
     if search.taken:
-        extended = _summary(search, search.fit, search.runs)
-        errors = dict(zip(("mass", "damping", "stiffness"), search.fit.errors))
-        shifts = shifts_of(search.model(search.base), search.model(search.fit), errors)
+        extended = summary_of_windows(search, search.fit, search.runs)
+        shifts = shifts_of(search.model(search.base), search.model(search.fit), search.matrix_errors(search.fit))
         # The same, from the same draws: one finding must not have two intervals.
         gain = (
             search.taken[0].gain if len(search.taken) == 1 else search.gain_over(search.base_runs, search.runs, floor)
@@ -66,7 +66,7 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
     noise = noise_findings(record, _padded(search.runs[0][0].e, record))
     return Diagnosis(
         verdict=verdict,
-        baseline=_summary(search, search.base, search.base_runs),
+        baseline=summary_of_windows(search, search.base, search.base_runs),
         noise_floor=dict(zip(names, map(float, floor))),
         noise_floor_source=source,
         findings=noise + tuple(findings),
@@ -85,7 +85,7 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
         warnings=warnings,
         records=tuple(search.records),
         validation_records=tuple(held),
-        curves=_curves(search),
+        curves=curves_of(search, search.base_runs, search.runs),
         identification=identification,
         terms=search.fit.terms,
         own_model=False,
@@ -137,7 +137,8 @@ def _member(fit: ForceFit, index: int, record: Record, difference: float) -> Mem
     return Member(term.effect.id, term.place.name, float(difference), parameters)
 
 
-def _summary(search: Search, fit: ForceFit, runs: tuple[list[FreeRun], list[FreeRun]]) -> ModelSummary:
+def summary_of_windows(search: Search, fit: ForceFit, runs: Runs) -> ModelSummary:
+    """The model of a fit, and how near its runs over windows are to the records."""
     model = search.model(fit)
     fits = {}
     for kind, records, made in zip(("estimation", "validation"), (search.records, search.held), runs):
@@ -149,7 +150,7 @@ def _summary(search: Search, fit: ForceFit, runs: tuple[list[FreeRun], list[Free
         {kind: dict(zip(model.output_names, map(float, getattr(f, name)))) for kind, f in fits.items()}
         for name in ("fit_percent", "rmse")
     ]
-    return ModelSummary(model, dict(zip(("mass", "damping", "stiffness"), fit.errors)), *per_output)
+    return ModelSummary(model, search.matrix_errors(fit), *per_output)
 
 
 def _not_found(search: Search, record: Record) -> tuple[NotFound, ...]:
@@ -188,14 +189,13 @@ def _budget(search: Search) -> dict[str, float]:
     return {**shares, "noise": 0.0 if search.strong else rest, "unexplained": rest if search.strong else 0.0}
 
 
-def _curves(search: Search) -> tuple[Curves, ...]:
+def curves_of(search: Search, before: Runs, after: Runs) -> tuple[Curves, ...]:
+    """Runs over windows of every record, before and after."""
     result = []
     for held_out, records in enumerate((search.records, search.held)):
         for k, record in enumerate(records):
             # Windows that do not count are not drawn: the worst of all would be one that something else pushed.
-            before, after = (
-                np.where(x[held_out][k].kept, x[held_out][k].simulated, np.nan) for x in (search.base_runs, search.runs)
-            )
-            cut = len(before)
-            result.append(Curves(record.time[:cut], record.y[:cut], before, after, bool(held_out)))
+            old, new = (np.where(x[held_out][k].kept, x[held_out][k].simulated, np.nan) for x in (before, after))
+            cut = len(old)
+            result.append(Curves(record.time[:cut], record.y[:cut], old, new, bool(held_out)))
     return tuple(result)

@@ -209,11 +209,11 @@ class Equation:
         inverse = np.linalg.pinv((table / size).T @ (table / size), rcond=1e-12, hermitian=True)
         covariance = inverse / np.outer(size, size) * cost / max(count - table.shape[1], 1)
         split = L.shape[1]
-        full, spread = np.zeros(3 * self.entries), np.zeros(3 * self.entries)
+        full, spread = np.zeros((2, len(inside)))
         full[inside], spread[inside] = entries, np.sqrt(np.maximum(np.diag(covariance)[:split], 0.0))
         made = ForceFit(
             self._matrices(full),
-            tuple(map(self._spread, np.split(spread, 3))),
+            self._errors(spread),
             tuple(terms),
             covariance[split:, split:],
             cost,
@@ -230,9 +230,10 @@ class Equation:
         M, D, K = map(from_symmetric_vector, np.split(entries, 3))
         return (M if self.mass is None else self.mass), D, K
 
-    def _spread(self, spread):
+    def _errors(self, spread) -> tuple[np.ndarray, ...]:
+        """Standard errors of M, D, K, of those of their entries."""
         basis = np.asarray(duplication(self.dofs))
-        return np.sqrt((basis**2) @ spread**2).reshape(self.dofs, self.dofs)
+        return tuple(np.sqrt((basis**2) @ s**2).reshape(self.dofs, self.dofs) for s in np.split(spread, 3))
 
     def _state(self, terms, weight, Q, F, moving):
         """Residual with M, D, K taken out, slopes, and what the terms add; None where it overflows."""

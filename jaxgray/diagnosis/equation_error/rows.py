@@ -52,9 +52,13 @@ class Series:
     band: Band
     sampling_time: float
 
+    def filtered(self, X: Float[np.ndarray, "samples *columns"]) -> Float[np.ndarray, "samples *columns"]:
+        """Series through the filter."""
+        return scipy.signal.sosfiltfilt(self.sections, np.asarray(X, float), axis=0)
+
     def row_values(self, X: Float[np.ndarray, "samples *columns"]) -> Float[np.ndarray, "rows *columns"]:
-        """Series through the filter, at the rows."""
-        return scipy.signal.sosfiltfilt(self.sections, np.asarray(X, float), axis=0)[self.rows]
+        """The same at the rows."""
+        return self.filtered(X)[self.rows]
 
     @property
     def input_rows(self) -> Float[np.ndarray, "rows inputs"]:
@@ -173,6 +177,22 @@ def contribution(
 
     **Arguments:** `effect`, `place`, `values`: the term; `series`; `input_map` (E); `slopes`.
     """
+    made, arm = _along(effect, place, values, series, input_map, slopes)
+    if not np.all(np.isfinite(made)):
+        return np.full((len(series.rows), len(arm), *made.shape[1:]), np.nan)
+    return np.einsum("r...,d->rd...", series.row_values(made), arm)
+
+
+def forces_along(
+    effect: AbstractEffect, place: Place, values, series: Series, input_map: Float[np.ndarray, "dofs inputs"]
+) -> Float[np.ndarray, "samples dofs"]:
+    """What a term adds to the right side along the filtered motion, itself not filtered; arguments as of
+    `contribution`."""
+    return np.multiply.outer(*_along(effect, place, values, series, input_map, False))
+
+
+def _along(effect, place, values, series, input_map, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Size of what a term adds, sample by sample, or its slopes by all parameters; and where it acts."""
     p, time = jnp.asarray(values, dtype=float), jnp.asarray(series.sampling_time)
     if isinstance(effect, AbstractInputEffect):
         arm = input_map[:, place.first]
@@ -181,11 +201,7 @@ def contribution(
     else:
         arm = np.asarray(arm_along(effect, place, input_map))
         made = (_force_slopes if slopes else _force)(effect, p, local_at(effect, place, series, arm), time)
-    made = np.asarray(made)
-    if not np.all(np.isfinite(made)):
-        return np.full((len(series.rows), len(arm), *made.shape[1:]), np.nan)
-    made = series.row_values(made)
-    return np.einsum("r...,d->rd...", made, arm)
+    return np.asarray(made), arm
 
 
 def local_at(effect, place: Place, series: Series, arm) -> Local:

@@ -98,6 +98,10 @@ class Search(AbstractSelection):
             effects=terms,
         )
 
+    def matrix_errors(self, fit: ForceFit) -> dict[str, np.ndarray] | None:
+        """Standard errors of M, D, K by name; None for what has none."""
+        return dict(zip(("mass", "damping", "stiffness"), fit.errors))
+
     def error(self, fit: ForceFit) -> float:
         """Relative force error where the body moves: at rest dry friction takes any value."""
         return self.equation.relative_error(fit)

@@ -1,5 +1,7 @@
 """Free runs over short windows, each with a first state of its own: for bodies that drift over the whole record."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -59,16 +61,16 @@ class Windows:
         self.samples, self.series = samples, series
         self.counts = [r.samples // samples for r in records]
         self.time = records[0].sampling_time
-        self.y = self._cut([r.y for r in records])
-        self.first = self._cut([np.concatenate([s.q, s.v], axis=1) for s in series])[:, 0]
-        usable = ~self._cut(left_out).any(axis=1)
+        self.y = self.cut([r.y for r in records])
+        self.first = self.cut([np.concatenate([s.q, s.v], axis=1) for s in series])[:, 0]
+        usable = ~self.cut(left_out).any(axis=1)
         # What rests on dry friction does so whatever else the model has, and creeps as no law says.
-        moving = usable & (self._cut([at_rest_of(s.v) for s in series]).mean(axis=1) < 0.5)
+        moving = usable & (self.cut([at_rest_of(s.v) for s in series]).mean(axis=1) < 0.5)
         ends = np.cumsum(self.counts)
         counted = [m if m.sum() >= FEWEST else u for m, u in zip(np.split(moving, ends), np.split(usable, ends))]
         self.known = np.isfinite(self.y) & np.concatenate(counted)[:, None, None]
 
-    def _cut(self, X: list[np.ndarray]) -> np.ndarray:
+    def cut(self, X: list[np.ndarray]) -> np.ndarray:
         """Series of all records as windows × samples × channels."""
         return np.concatenate(
             [
@@ -85,8 +87,13 @@ class Windows:
         plant = Plant(model.mass, model.damping, model.stiffness, model.drive, model.measured)
         laws = tuple(dict.fromkeys(term.effect for term in model.effects))
         slots = slots_of(model.effects, plant, laws)
-        inputs = (self._cut([getattr(s, name) for s in self.series]) for name in ("start", "end", "scheduling"))
+        inputs = (self.cut([getattr(s, name) for s in self.series]) for name in ("start", "end", "scheduling"))
         series = (*map(jnp.asarray, inputs), slots, jnp.asarray(self.time), laws)
+        return self.fitted(lambda states: np.asarray(_windows(plant, jnp.asarray(states), *series)))
+
+    def fitted(self, runs: Callable[[np.ndarray], np.ndarray]) -> list[FreeRun]:
+        """The same of anything that runs from given states: `runs`, from several states of every window (windows × runs
+        × states) to outputs (windows × runs × samples × outputs)."""
         known = self.known
         target = np.where(known, self.y, 0.0)
         size = np.sqrt(np.sum(target**2, axis=(0, 1)) / np.maximum(known.sum(axis=(0, 1)), 1))
@@ -96,7 +103,7 @@ class Windows:
         damping = np.full(len(target), 1e-9)
         idle = 0
         for _ in range(STEPS + 1):
-            made, J, sound = self._run_and_slopes(plant, x0, series)
+            made, J, sound = self._run_and_slopes(runs, x0)
             e = (target - made) * weight
             cost = np.where(sound[:, 0], np.sum(e**2, axis=(1, 2)), np.inf)
             better = cost < best
@@ -114,21 +121,21 @@ class Windows:
                     normal = (table[k] / scale).T @ (table[k] / scale) + damping[k] * np.eye(len(scale))
                     x0[k] = kept[k] + np.linalg.solve(normal, (table[k] / scale).T @ e[k].ravel()) / scale
         y = np.where(np.isfinite(best)[:, None, None], y, np.inf)
-        runs, at = [], 0
+        found, at = [], 0
         for count in self.counts:
             part = slice(at, at + count)
             at += count
             simulated, measured, there = (x[part].reshape(-1, y.shape[2]) for x in (y, target, known))
-            runs.append(FreeRun(simulated, np.where(there, measured - simulated, 0.0), there))
-        return runs
+            found.append(FreeRun(simulated, np.where(there, measured - simulated, 0.0), there))
+        return found
 
-    def _run_and_slopes(self, plant, x0, series):
+    def _run_and_slopes(self, runs, x0):
         """Outputs of all windows, their slopes by the first states, by differences of one part in 10⁵, and which runs
         of every window (the first is that of the outputs) did not overflow; zero where they did."""
         states = x0.shape[1]
         steps = 1e-5 * np.maximum(np.sqrt(np.mean(self.first**2, axis=0)), 1e-300)
         all_states = np.concatenate([x0[:, None], x0[:, None] + np.diag(steps)[None]], axis=1)
-        made = np.asarray(_windows(plant, jnp.asarray(all_states), *series))
+        made = runs(all_states)
         sound = np.all(np.abs(made) <= LARGEST, axis=(2, 3))
         made = np.where(sound[:, :, None, None], made, 0.0)
         J = (made[:, 1 : states + 1] - made[:, :1]) / steps[None, :, None, None]

@@ -7,6 +7,7 @@
     contenders         the law that explains most there
     necessary_numbers  the fewest numbers that have to be other, and which of them stand for one another
     conclusions        what is said of it, and what one run gains over another
+    force_balance      its balance of forces along the measured motion, where no run follows the record
 
 A law is looked for in a linear plant P that answers as the simulator does to small forces. Its input is not the
 record's: it is what gives the motion of the simulator, and less by the force that the simulator lacks. So its run is

@@ -51,8 +51,7 @@ def diagnosis_of(
     """
     names = problem.record.output_names
     state, settled = joined(states), every[-1]
-    records = [span.record[span.fit] for span in problem.spans if span.fit is not None]
-    held = [span.record[span.held] for span in problem.spans if span.held is not None]
+    records, held = problem.parts()
     given, elsewhere = problem.begun(baseline.y), _begins_elsewhere(settled)
     shown = given if elsewhere else baseline.y
     floor, source = independent_floor(records[0])

@@ -2,10 +2,12 @@
 
 Where a motion hangs sharply on the numbers (contact, backlash, an arm that turns over and over), a linear plant about
 one run does not foretell another, and the sum of squares over a whole record has many minima. Over a short part it has
-one, and from there the fit of a longer part begins. A part that numbers alone do not follow ends it.
+one, and from there the fit of a longer part begins. A part that numbers alone do not follow ends it. The simulator runs
+no further than a part, and slopes are taken from its runs by differences where those of the steps before lead nowhere.
 
 **Reference:** Bock, *Recent advances in parameter identification techniques for ODE* (1983), for windows in place of
-the whole record; here one window grows.
+the whole record; here one window grows. Broyden, *A class of methods for solving nonlinear simultaneous equations*,
+Math. Comp. 19 (1965) 577-593, for slopes that learn from every step.
 """
 
 import dataclasses
@@ -21,7 +23,7 @@ from ..estimation.gauss_newton import NOTHING, Refit
 from ..model.free_run import FreeRun, rms_of
 from ..noise.whitening import white_part
 from .runs.calls import Call, Failure
-from .runs.problem import Problem, Runs, parts_of
+from .runs.problem import Outputs, Problem, Runs, Span
 
 SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 """Parts of the data of the fit, one after the other."""
@@ -39,17 +41,18 @@ FIRST, MOVED, LARGEST = 2, 0.1, 1e6
 """Samples over which forces lead to a first state; by how much one moves a run, relative to it, and the most of them
 in units of that."""
 
-FLAT = 1.0
-"""Fall of N ln(mean square) up to which a step was the last."""
+FLAT, CLOSE = 1.0, 0.01
+"""Fall of N ln(mean square) up to which a step was the last; and the one foretold up to which it is worth no run."""
 
-DAMPINGS = 1e-3 * 10.0 ** np.arange(6)
-"""Of steps that are tried, relative to the diagonal of the normal equations, where the one before did not go down."""
+DAMPINGS, BY_OLD = 1e-3 * 10.0 ** np.arange(6), 2
+"""Of steps that are tried, relative to the diagonal of the normal equations, where the one before did not go down; and
+how many of them by slopes of steps before."""
 
 
 @dataclass(frozen=True)
 class Grown:
     """`entries` that follow all data of the fit, the `runs` with them, forces by which these were pushed into their
-    first states, a span, and slopes of the runs by every entry."""
+    first states, a span, and slopes of the runs by every entry, a record of the fit up to where that ends."""
 
     entries: Float[np.ndarray, " numbers"]
     runs: Runs
@@ -59,7 +62,8 @@ class Grown:
     def fit(self, problem: Problem, fit: Refit) -> Refit:
         """A refit in the linear plant about these runs, with what the simulator itself says of residual and slopes in
         its place."""
-        spans = [(s, y, S) for s, y, S in zip(problem.spans, self.runs.y, self.slopes) if s.fit is not None]
+        fitted = [(s, y) for s, y in zip(problem.spans, self.runs.y) if s.fit is not None]
+        spans = [(s, y, S) for (s, y), S in zip(fitted, self.slopes)]
         count, residuals, jacobians = len(self.entries), [], []
         for (span, y, S), e, J in zip(spans, fit.residual, fit.jacobian):
             e, J, run = np.zeros_like(e), np.array(J), span.run(y, span.fit)
@@ -80,6 +84,63 @@ class Grown:
 
 
 @dataclass(frozen=True)
+class _Window:
+    """The first part of the data of every record of the fit, as large a `share` of them: the simulator runs no further.
+    Its runs are the outputs of these records alone, up to there."""
+
+    problem: Problem
+    share: float
+
+    @property
+    def spans(self) -> list[Span]:
+        """The records of the fit."""
+        return [span for span in self.problem.spans if span.fit is not None]
+
+    def samples(self, span: Span) -> int:
+        """How many samples of the fit it holds of a record."""
+        count = span.fit.stop - span.fit.start
+        return min(max(round(self.share * count), FEWEST), count)
+
+    def cut(self, calls: list[Call]) -> list[Call]:
+        """Calls of all spans as those of this part."""
+        pairs = [(span, call) for span, call in zip(self.problem.spans, calls) if span.fit is not None]
+        ends = [span.fit.start + self.samples(span) for span, _ in pairs]
+        return [dataclasses.replace(call, u=call.u[:end], w=call.w[:end]) for end, (_, call) in zip(ends, pairs)]
+
+    def runs(self, calls: list[Call]) -> Outputs | None:
+        """Runs of this part; None where one fails or runs away."""
+        made = self.problem.simulator.runs(self.cut(calls))
+        if any(isinstance(y, Failure) or span.far(y) for span, y in zip(self.spans, made)):
+            return None
+        return tuple(made)
+
+    def seen(self, span: Span) -> slice:
+        """The samples of a record in which it looks at runs."""
+        return slice(span.fit.start, span.fit.start + self.samples(span))
+
+    def parts(self, y: Outputs) -> list[FreeRun]:
+        """Runs beside the records."""
+        parts = []
+        for span, one in zip(self.spans, y):
+            run = span.run(one, self.seen(span))
+            # What leads to a first state is no motion of the simulator's own.
+            kept = run.kept & (np.arange(len(run.e)) >= FIRST)[:, None]
+            parts.append(FreeRun(run.simulated, np.where(kept, run.e, 0.0), kept))
+        return parts
+
+    def left(self, y: Outputs) -> float:
+        """N ln(mean square), summed over outputs, of what runs leave."""
+        parts = self.parts(y)
+        count = sum(part.kept.sum(axis=0) for part in parts)
+        return float(np.sum(count * np.log(np.maximum(_mean_squares(parts), 1e-300))))
+
+    def followed(self, y: Outputs) -> bool:
+        """Whether runs leave no more than what no motion explains, its white part, about."""
+        excess = settings.STAND_IN_EXCESS**2
+        return all(np.all(part.rmse**2 <= excess * white_part(part.e, part.kept)) for part in self.parts(y))
+
+
+@dataclass(frozen=True)
 class _Unknowns:
     """What is fitted: a vector of the entries, of which some are `free`, then for every record of the fit the forces
     over its first samples (in `units`) that lead to its first state, with which the simulator cannot begin."""
@@ -89,18 +150,19 @@ class _Unknowns:
     units: tuple[Float[np.ndarray, "first dofs"], ...]
 
     @classmethod
-    def of(cls, problem: Problem, runs: Runs, free: Bool[np.ndarray, " numbers"]) -> "_Unknowns":
-        """With units by which every force moves a run by `MOVED` of it."""
-        units = []
-        for span, call, y in zip(problem.spans, runs.calls, runs.y):
-            dofs = span.record.outputs
-            unit = np.zeros((FIRST if span.fit is not None else 0, dofs))
-            force, size = max(float(np.std(call.u)), 1e-300), max(float(np.std(y)), 1e-300)
+    def of(cls, window: _Window, calls: list[Call], y: Outputs, free: Bool[np.ndarray, " numbers"]) -> "_Unknowns":
+        """With units by which every force moves runs `y` of a part by `MOVED` of it."""
+        problem, units, runs = window.problem, [], iter(zip(window.cut(calls), y))
+        for span in problem.spans:
+            unit = np.zeros((FIRST if span.fit is not None else 0, span.record.outputs))
+            if len(unit):
+                call, one = next(runs)
+                force, size = max(float(np.std(call.u)), 1e-300), max(float(np.std(one)), 1e-300)
             for k in np.ndindex(unit.shape):
                 w = call.w.copy()
                 w[k] += force
                 made = problem.simulator.tried(dataclasses.replace(call, w=w))
-                moved = 0.0 if made is None else float(np.sqrt(np.mean((made - y) ** 2))) / size
+                moved = 0.0 if made is None else float(np.sqrt(np.mean((made - one) ** 2))) / size
                 unit[k] = force * MOVED / moved if moved > 0.0 else 0.0
             units.append(unit)
         return cls(problem, free, tuple(units))
@@ -109,6 +171,10 @@ class _Unknowns:
     def count(self) -> int:
         """How many numbers there are."""
         return len(self.problem.units)
+
+    def moving(self, size: int) -> Bool[np.ndarray, " unknowns"]:
+        """Which unknowns are fitted."""
+        return np.concatenate([self.free, np.ones(size - self.count, bool)])
 
     def floors(self, size: int) -> Float[np.ndarray, " unknowns"]:
         """The least of every unknown: numbers keep their sign."""
@@ -132,45 +198,91 @@ class _Unknowns:
             call.w[: len(unit)] = vector[end - unit.size : end].reshape(unit.shape) * unit
         return calls
 
-    def slopes(self, runs: Runs, vector: Float[np.ndarray, " unknowns"]) -> tuple[np.ndarray, ...] | None:
-        """By how much the outputs of every span change with every unknown, nothing with those that are not free; None
-        where a run fails."""
-        moving = np.concatenate([self.free, np.ones(len(vector) - self.count, bool)])
-        moved = [self.calls(vector + CHANGE * unit) for unit in np.eye(len(vector))[moving]]
-        made = self.problem.simulator.runs([call for calls in moved for call in calls])
+
+@dataclass(frozen=True)
+class _Fit:
+    """Unknowns as far as they are fitted over a `window`: their `vector`, runs `y` with it, and slopes of these runs by
+    every unknown (none with those that are not free), `fresh` where they were taken there."""
+
+    window: _Window
+    unknowns: _Unknowns
+    vector: Float[np.ndarray, " unknowns"]
+    y: Outputs
+    slopes: tuple[Float[np.ndarray, "samples outputs unknowns"], ...] = ()
+    fresh: bool = False
+
+    @property
+    def left(self) -> float:
+        """What the runs leave."""
+        return self.window.left(self.y)
+
+    def sloped(self) -> "_Fit | None":
+        """With slopes by differences of runs; None where one fails."""
+        moving = self.unknowns.moving(len(self.vector))
+        moved = [self.unknowns.calls(self.vector + CHANGE * unit) for unit in np.eye(len(self.vector))[moving]]
+        made = self.window.problem.simulator.runs([call for calls in moved for call in self.window.cut(calls)])
         if any(isinstance(one, Failure) for one in made):
             return None
-        spans = len(self.problem.spans)
-        slopes = tuple(np.zeros((*y.shape, len(vector))) for y in runs.y)
-        for k, (y, S) in enumerate(zip(runs.y, slopes)):
-            S[:, :, moving] = np.stack([(one - y) / CHANGE for one in made[k::spans]], axis=2)
-        return slopes
+        slopes = tuple(np.zeros((*y.shape, len(self.vector))) for y in self.y)
+        for k, (y, S) in enumerate(zip(self.y, slopes)):
+            S[:, :, moving] = np.stack([(one - y) / CHANGE for one in made[k :: len(self.y)]], axis=2)
+        return dataclasses.replace(self, slopes=slopes, fresh=True)
 
-    def down(
-        self, runs: Runs, vector: Float[np.ndarray, " unknowns"], slopes: tuple[np.ndarray, ...], share: float
-    ) -> tuple[np.ndarray, Runs] | None:
-        """Unknowns that leave less of a part, and the runs with them; None where no step does."""
-        parts, solver, size = _parts(self.problem, runs, share), ClarabelSolver(), len(vector)
+    def normal(self) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
+        """The normal equations of a step, every output in units of what is left of it."""
+        parts = self.window.parts(self.y)
         weight = 1 / np.sqrt(np.maximum(_mean_squares(parts), 1e-300))
+        size = len(self.vector)
         H, g = np.zeros((size, size)), np.zeros(size)
-        of_fit = [S[span.fit] for S, span in zip(slopes, self.problem.spans) if span.fit is not None]
-        for part, S in zip(parts, of_fit):
-            J = (S[: len(part.e)] * weight[:, None])[part.kept]
+        for span, part, S in zip(self.window.spans, parts, self.slopes):
+            J = (S[self.window.seen(span)] * weight[:, None])[part.kept]
             H, g = H + J.T @ J, g + J.T @ (part.e * weight)[part.kept]
-        held = np.diag(H) <= 0.0
-        if held.all():
+        return H, g
+
+    def down(self) -> "_Fit | None":
+        """A step that leaves less, with slopes that learned from it; None where none does, or none is worth a run."""
+        solver, size = ClarabelSolver(), len(self.vector)
+        H, g = self.normal()
+        scale = np.diag(H)
+        held = scale <= 0.0
+        if g @ pseudo_inverse(H, NOTHING) @ g < CLOSE:
             return None
-        before, floors = _left(self.problem, runs, share), self.floors(size)
-        for damping in DAMPINGS:
-            damped = H + np.diag(np.where(held, 1.0, damping * np.diag(H)))
-            step = step_inside(solver, damped, -g, vector, floors, (1,) * size, held)
+        floors = self.unknowns.floors(size)
+        for damping in DAMPINGS if self.fresh else DAMPINGS[:BY_OLD]:
+            damped = H + np.diag(np.where(held, 1.0, damping * scale))
+            step = step_inside(solver, damped, -g, self.vector, floors, (1,) * size, held)
             if step is None:
                 continue
-            ahead = np.maximum(vector + step, floors)
-            made = self.problem.tried(self.calls(ahead))
-            if made is not None and _left(self.problem, made, share) < before:
-                return ahead, made
+            ahead = np.maximum(self.vector + step, floors)
+            made = self.window.runs(self.unknowns.calls(ahead))
+            if made is not None and self.window.left(made) < self.left:
+                step = ahead - self.vector
+                along = scale * step / max(step @ (scale * step), 1e-300)
+                learned = zip(self.slopes, made, self.y)
+                slopes = tuple(S + (new - old - S @ step)[:, :, None] * along for S, new, old in learned)
+                return dataclasses.replace(self, vector=ahead, y=made, slopes=slopes, fresh=False)
         return None
+
+    def best(self, exact: bool) -> "_Fit | None":
+        """Where no step leaves less, by fresh slopes there; or, if that need not be `exact`, where runs follow the
+        records. None where a run fails."""
+        now = self
+        for _ in range(TURNS):
+            if not exact and now.window.followed(now.y):
+                break
+            if not now.slopes:
+                now = now.sloped()
+                if now is None:
+                    return None
+            ahead = now.down()
+            flat = ahead is None or ahead.left > now.left - FLAT
+            if flat and now.fresh:
+                # So short a step changes no slopes.
+                return now if ahead is None else dataclasses.replace(ahead, slopes=now.slopes, fresh=True)
+            now = ahead or now
+            if flat:
+                now = dataclasses.replace(now, slopes=())
+        return now
 
 
 def grown(problem: Problem, entries: Float[np.ndarray, " numbers"]) -> Grown | None:
@@ -189,55 +301,31 @@ def sharpened(
 
 
 def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], shares: tuple[float, ...]) -> Grown | None:
-    calls = problem.called(entries)
+    first, calls = _Window(problem, shares[0]), problem.called(entries)
     pushed = pushed or tuple(call.w for call in calls)
-    runs, slopes = problem.tried([dataclasses.replace(call, w=w) for call, w in zip(calls, pushed)]), None
-    if runs is None:
+    calls = [dataclasses.replace(call, w=w) for call, w in zip(calls, pushed)]
+    if (y := first.runs(calls)) is None:
         return None
-    unknowns = _Unknowns.of(problem, runs, free)
+    unknowns = _Unknowns.of(first, calls, y, free)
     vector = unknowns.start(entries, pushed)
     for share in shares:
-        for _ in range(TURNS):
-            if (slopes := unknowns.slopes(runs, vector)) is None:
-                return None
-            before = _left(problem, runs, share)
-            ahead = unknowns.down(runs, vector, slopes, share)
-            if ahead is None:
-                break
-            vector, runs = ahead
-            if _left(problem, runs, share) > before - FLAT:
-                break
-        if not all(map(_follows, _parts(problem, runs, share))):
+        window, calls = _Window(problem, share), unknowns.calls(vector)
+        if share != shares[0] and (y := window.runs(calls)) is None:
             return None
-    count = unknowns.count
+        fit = _Fit(window, unknowns, vector, y).best(exact=share == shares[-1])
+        if fit is None or not window.followed(fit.y):
+            return None
+        vector = fit.vector
+    if not fit.fresh and (fit := fit.sloped()) is None:
+        return None
+    calls, count = unknowns.calls(vector), unknowns.count
+    runs = problem.tried(calls)
+    if runs is None:
+        return None
     # A first state is none of the forces that the simulator was given.
-    pushed = tuple(call.w for call in runs.calls)
     runs = dataclasses.replace(runs, calls=tuple(problem.called(vector[:count])))
-    return Grown(vector[:count], runs, pushed, tuple(S[:, :, :count] for S in slopes))
-
-
-def _parts(problem: Problem, runs: Runs, share: float) -> list[FreeRun]:
-    """Runs over the first parts of the data of the fit."""
-    parts = []
-    for run in parts_of(problem, runs.y)[0]:
-        samples = min(max(round(share * len(run.e)), FEWEST), len(run.e))
-        # What leads to a first state is no motion of the simulator's own.
-        kept = run.kept[:samples] & (np.arange(samples) >= FIRST)[:, None]
-        parts.append(FreeRun(run.simulated[:samples], np.where(kept, run.e[:samples], 0.0), kept))
-    return parts
+    return Grown(vector[:count], runs, tuple(call.w for call in calls), tuple(S[:, :, :count] for S in fit.slopes))
 
 
 def _mean_squares(parts: list[FreeRun]) -> Float[np.ndarray, " outputs"]:
     return rms_of(parts) ** 2
-
-
-def _left(problem: Problem, runs: Runs, share: float) -> float:
-    """N ln(mean square), summed over outputs, of what runs leave of the parts."""
-    parts = _parts(problem, runs, share)
-    count = sum(part.kept.sum(axis=0) for part in parts)
-    return float(np.sum(count * np.log(np.maximum(_mean_squares(parts), 1e-300))))
-
-
-def _follows(part: FreeRun) -> bool:
-    """Whether a run leaves no more than what no motion explains, its white part, about."""
-    return bool(np.all(part.rmse**2 <= settings.STAND_IN_EXCESS**2 * white_part(part.e, part.kept)))

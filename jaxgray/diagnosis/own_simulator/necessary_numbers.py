@@ -169,7 +169,7 @@ def necessary(
 
 def _sharpened(problem: Problem, shown: Settled, free: Bool[np.ndarray, " numbers"]) -> Settled:
     """What is settled by runs that hang sharply on the numbers, where these are best with no others beside them."""
-    again = sharpened(problem, shown.candidate.entries, free, shown.pushed) if shown.pushed else None
+    again = sharpened(problem, shown.candidate.entries, free, shown.pushed) if shown.pushed and not free.all() else None
     if again is None or left_by(problem, again.runs.y) > left_by(problem, shown.y):
         return shown
     candidate = shown.candidate.with_entries(again.entries)
@@ -191,8 +191,7 @@ class _Fewer:
         runs with few numbers leave more than they are worth."""
         free = self.about.free_only()
         shown = self._with(free) if np.any(self.about.known & ~free) else self.settled
-        worth = float(np.sum(self.about.known & ~free)) * (self.about.penalty + settings.MIN_DELTA_BIC)
-        if shown is None or not self._left(shown, self.settled) <= worth:
+        if shown is None or not self._left(shown, self.settled) <= self._worth(self.about.known & ~free):
             return None
         needless = True
         while needless:
@@ -230,6 +229,10 @@ class _Fewer:
         evidence = self._left(without, shown) - self.about.penalty
         return evidence >= settings.MIN_DELTA_BIC and unproven(gain) is None
 
+    def _worth(self, given: Bool[np.ndarray, " numbers"]) -> float:
+        """What runs may leave more with these numbers as they were given."""
+        return float(np.sum(given)) * (self.about.penalty + settings.MIN_DELTA_BIC)
+
     def _left(self, one: Settled, other: Settled) -> float:
         """How much more runs leave than others, in units of the noise variance."""
         return self.about.samples * (left_by(self.problem, one.y) - left_by(self.problem, other.y))
@@ -244,6 +247,9 @@ class _Fewer:
                 break
             slope = self._slope(best.y)
             further = covariance @ slope
+            if left - 2 * slope @ further > self._worth(np.ones(self.about.count, bool)):
+                # No step brings it near.
+                break
             ahead = self._moved(step + further, covariance)
             # Where the slopes foretell little, the least of a parabola through both runs along the first one's slope.
             fall = float(slope @ further)

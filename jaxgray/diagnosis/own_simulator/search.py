@@ -27,6 +27,7 @@ from ..search.forward import select_forward
 from ..search.state import SearchState, is_local
 from .conclusions import diagnosis_of, gain_between, is_white
 from .contenders import chosen, offered
+from .force_balance import Balanced, by_force_balance
 from .growing_parts import Grown, grown
 from .runs.calls import Call, Simulator, checked_function, checked_numbers
 from .runs.linearized import Linearized, linearized
@@ -41,6 +42,9 @@ numbers."""
 
 GROWING = "fitting the simulator's numbers over parts that grow"
 """What is said while the simulator's own runs fit them."""
+
+NOT_EXPLAINED = "partly", "unexplained"
+"""Verdicts that leave something open."""
 
 REPEATED = 1e-9
 """Difference of two runs with the same inputs, relative to the motion, that rounding may make."""
@@ -76,14 +80,33 @@ def diagnose_simulator(
     given = checked_numbers(parameters)
     with Simulator(function, tuple(given), first.outputs, workers) as simulator:
         problem = Problem(simulator, tuple(Span(*one) for one in spans), np.array(list(given.values())), FORCES)
-        return _diagnosed(problem, catalogue, max_effects, separate, np.random.default_rng(seed), progress)
+        rng = np.random.default_rng(seed)
+
+        def balanced() -> Diagnosis | None:
+            """What the motion as it was measured tells, where runs over whole records do not."""
+            if not (isinstance(function, Balanced) and problem.away):
+                return None
+            values, parts = np.array(list(given.values())), problem.parts()
+            with contextlib.suppress(ComputationError):
+                return by_force_balance(
+                    function, tuple(given), values, *parts, catalogue, max_effects, rng=rng, progress=progress
+                )
+            return None
+
+        try:
+            return _diagnosed(problem, catalogue, max_effects, separate, rng, progress, balanced)
+        except ComputationError:
+            if (found := balanced()) is None:
+                raise
+            return found
 
 
-def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rng, progress) -> Diagnosis:
+def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rng, progress, balanced) -> Diagnosis:
     simulator = problem.simulator
     progress.unlimited.stage("running the simulator")
     start = np.ones(len(problem.units))
     baseline = problem.runs(problem.called(start))
+    problem.away = not problem.follow(baseline.y)
     _check_repeatable(problem, baseline)
     units = sized(simulator, baseline.calls[0], baseline.y[0])
     start = np.where(problem.units == 0.0, 0.0, 1.0)
@@ -92,7 +115,10 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     def context_of(linear: NumbersSimulator, wholes: Linear) -> SearchContext:
         return _context(problem, linear, wholes, catalogue, separate, rng, progress)
 
-    found, followed, begin = _begin(problem, baseline, start, context_of, rng, progress)
+    begun = _begin(problem, baseline, start, context_of, rng, progress, balanced)
+    if isinstance(begun, Diagnosis):
+        return begun
+    found, followed, begin = begun
     numbers = found.fitted
     if numbers is not None and numbers.still and not found.by_runs and not is_white(parts_of(problem, numbers.y)[0]):
         # Numbers that stand still in the linear plant may not be those of the simulator.
@@ -187,26 +213,41 @@ def _laws(
 
 
 def _begin(
-    problem: Problem, baseline: Runs, start: np.ndarray, context_of: Callable, rng, progress
-) -> tuple[_Beginning, Runs, Candidate | None]:
+    problem: Problem,
+    baseline: Runs,
+    start: np.ndarray,
+    context_of: Callable,
+    rng,
+    progress,
+    balanced: Callable[[], Diagnosis | None],
+) -> tuple[_Beginning, Runs, Candidate | None] | Diagnosis:
     """Where laws are looked for, runs that forces lead along the records, and the candidate to begin with, None for the
-    numbers as they were given.
+    numbers as they were given; or what the balance of forces tells, where no force leads them so far.
 
     **Arguments:** `problem`; `baseline`: runs with the numbers as they were given, as entries `start`; `context_of`:
-    the context of a search by a linear simulator and its records; `rng`; `progress`.
+    the context of a search by a linear simulator and its records; `rng`; `progress`; `balanced`: gives that diagnosis,
+    if there is one.
 
     **Raises:** `ComputationError` where the simulator fails with the numbers as they were given.
     """
 
     begun = functools.partial(_begun, problem, context_of, progress)
     found = failure = None
+    if problem.away and (again := _by_own_runs(problem, start, context_of, rng, progress)) is not None:
+        # Forces that lead a run to a record from far away need many more runs than numbers do.
+        return again
     try:
-        followed = problem.with_forces(_followed(problem, baseline, rng, progress))
+        followed = _followed(problem, baseline, rng, progress)
+        if not problem.follow(followed.y):
+            told = balanced()
+            if told is not None and told.verdict not in NOT_EXPLAINED:
+                return told
+        followed = problem.with_forces(followed)
         found = begun(followed, start)
     except ComputationError as error:
         failure = error
     if found is None or not _settled(problem, found.fitted):
-        again = _by_own_runs(problem, start, context_of, rng, progress)
+        again = None if problem.away else _by_own_runs(problem, start, context_of, rng, progress)
         if again is not None:
             return again
         if found is None:
@@ -260,6 +301,8 @@ def _anew(
     with contextlib.suppress(ComputationError):
         with contextlib.suppress(ComputationError):
             problem.plant = linearized(problem.simulator, problem.record, runs.calls[0], runs.y[0], rng)
+        if problem.plant is None:
+            return None
         again = _begun(problem, context_of, progress, problem.with_forces(runs), entries, by_runs)
         return again if again.fitted is not None else None
     return None
@@ -270,8 +313,6 @@ def _by_own_runs(
 ) -> tuple[_Beginning, Runs, Candidate] | None:
     """As `_begin`, with numbers that the simulator's own runs found over parts that grow; None where they find none
     that alone explain the data."""
-    if problem.plant is None:
-        return None
     progress.unlimited.stage(GROWING)
     by_runs = grown(problem, start)
     if by_runs is None:

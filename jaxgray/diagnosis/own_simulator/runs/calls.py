@@ -42,7 +42,7 @@ class Simulator:
     """A simulator with the names of its numbers.
 
     `function`; `names`; `outputs`: how many it must give; `workers`: processes that run it, 1 for this one alone;
-    `count`: calls so far. As a context it ends its processes.
+    `count`: calls so far, and `samples` that they simulated. As a context it ends its processes.
     """
 
     function: Simulation
@@ -50,6 +50,7 @@ class Simulator:
     outputs: int
     workers: int = 1
     count: int = 0
+    samples: int = 0
     _pool: concurrent.futures.ProcessPoolExecutor | None = field(default=None, repr=False)
 
     def __enter__(self):
@@ -85,6 +86,7 @@ class Simulator:
     def runs(self, calls: list[Call]) -> list[np.ndarray | Failure]:
         """The outputs of several calls, or why there are none, in their order."""
         self.count += len(calls)
+        self.samples += sum(len(call.u) for call in calls)
         parts = [(self.function, call, self.names, self.outputs) for call in calls]
         if self.workers == 1 or len(calls) == 1:
             return [_made(*part) for part in parts]

@@ -91,7 +91,8 @@ class Runs:
 @dataclass
 class Problem:
     """What a diagnosis works on: `simulator`, `spans`, `units` of the numbers (values of entry 1), `laws`: force laws
-    of the catalogue; and, once they are known, the linear `plant` and which numbers are `idle`: they move no output."""
+    of the catalogue; and, once they are known, the linear `plant`, which numbers are `idle`: they move no output, and
+    whether a run with the numbers as they were given is far `away` from a record."""
 
     simulator: Simulator
     spans: tuple[Span, ...]
@@ -99,11 +100,17 @@ class Problem:
     laws: tuple[AbstractForceEffect, ...]
     plant: Linearized | None = None
     idle: Bool[np.ndarray, " numbers"] | None = None
+    away: bool = False
 
     @property
     def record(self) -> Record:
         """The first record."""
         return self.spans[0].record
+
+    def parts(self) -> tuple[list[Record], list[Record]]:
+        """The data of the fit, and those held out."""
+        fit = [span.record[span.fit] for span in self.spans if span.fit is not None]
+        return fit, [span.record[span.held] for span in self.spans if span.held is not None]
 
     def runs(self, calls: list[Call]) -> Runs:
         """Runs of all spans.
