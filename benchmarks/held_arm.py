@@ -6,7 +6,7 @@ Played back without the controller, the recorded torques let any arm fall: no ru
 The machine is MuJoCo as well, stepped with its controller in the loop; both dampings of the user's MJCF are up to 5 %
 off, and it lacks dry friction, a payload, cogging, a cubic spring or quadratic drag. Noise of the encoders is 0.02 to
 0.1 % of the motion. Right is the law at its joint, alone or in a class, or of numbers that the missing one is off; and
-nothing else but the dampings. Without: nothing but the dampings. Seeds 1 to 20 served development.
+nothing else but the dampings. Without: nothing but the dampings. Seeds 1 to 80 served development.
 """
 
 import functools

@@ -112,6 +112,12 @@ class MujocoSimulator:
         """
         return self._run(self.changed(numbers), first, u, w)
 
+    @property
+    def lead(self) -> float:
+        """By how much its steps let forces act early [s]: where a position ends up, the force of its step has acted for
+        half a step longer than that took."""
+        return self.model.opt.timestep / 2
+
     def momenta(
         self,
         q: Float[np.ndarray, "samples outputs"],
@@ -119,7 +125,7 @@ class MujocoSimulator:
         numbers: Mapping[str, float],
     ) -> Float[np.ndarray, "samples outputs"]:
         """Generalised momenta M(q) q̇ at some positions and velocities of the joints, [kg m²/s] of hinges and [kg m/s]
-        of slides."""
+        of slides. Steps of MuJoCo take the damping of joints where they end: half a step of it counts as mass."""
         mujoco = mjcf.library()
         model, of = self.changed(numbers), np.empty((len(q), len(self.outputs)))
         data, made = mujoco.MjData(model), np.zeros(model.nv)
@@ -129,17 +135,19 @@ class MujocoSimulator:
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_mulM(model, data, made, data.qvel.copy())
             of[k] = made[dofs]
-        return of
+        return of + self.lead * np.ravel(model.dof_damping)[dofs] * v
 
     def forces(
         self,
         q: Float[np.ndarray, "samples outputs"],
         v: Float[np.ndarray, "samples outputs"],
+        a: Float[np.ndarray, "samples outputs"],
         u: Float[np.ndarray, "samples inputs"],
         numbers: Mapping[str, float],
     ) -> tuple[Float[np.ndarray, "samples outputs"], Float[np.ndarray, "samples outputs"]]:
         """What changes these momenta, [N m] of hinges and [N] of slides: what goes with the motion (weight, centrifugal
-        forces, damping, friction, springs), and what the actuators do."""
+        forces, damping, friction, springs), and what the actuators do. Accelerations count for dry friction and stops
+        alone, which MuJoCo makes of them, too."""
         mujoco = mjcf.library()
         model, made = self.changed(numbers), np.empty((2, len(q), len(self.outputs)))
         data, turned = mujoco.MjData(model), np.zeros(model.nv)
@@ -149,10 +157,12 @@ class MujocoSimulator:
             data.qpos[at], data.qvel[dofs], data.ctrl[actuators] = q[k], v[k], u[k]
             mujoco.mj_forward(model, data)
             made[1, k] = data.qfrc_actuator[dofs]
-            # Without acceleration: what would have to act.
             data.qacc[:] = 0.0
+            data.qacc[dofs] = a[k]
             mujoco.mj_inverse(model, data)
-            own, speed = -data.qfrc_inverse[dofs], data.qvel.copy()
+            # Less what the acceleration itself takes.
+            mujoco.mj_mulM(model, data, turned, data.qacc.copy())
+            own, speed = turned[dofs] - data.qfrc_inverse[dofs], data.qvel.copy()
             for ahead in (TURN, -TURN):
                 data.qpos[at] = q[k] + ahead * v[k]
                 mujoco.mj_fwdPosition(model, data)

@@ -11,7 +11,7 @@ from jaxgray.diagnosis.equation_error.band import Band
 from jaxgray.diagnosis.equation_error.rows import series_of
 from jaxgray.diagnosis.own_simulator.force_balance.equation import BalanceEquation
 
-H, SAMPLES, TRUTH = 0.01, 1500, {"inertia": 0.1, "weight": 1.5, "damping": 0.2}
+H, SAMPLES, TRUTH = 0.01, 1000, {"inertia": 0.1, "weight": 1.5, "damping": 0.2}
 
 
 def acceleration(q, v, torque, numbers):
@@ -48,7 +48,7 @@ class Upright:
     def momenta(self, q, v, numbers):
         return numbers["inertia"] * v
 
-    def forces(self, q, v, u, numbers):
+    def forces(self, q, v, a, u, numbers):
         return numbers["weight"] * np.sin(q) - numbers["damping"] * v, u.copy()
 
 

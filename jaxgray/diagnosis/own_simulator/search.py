@@ -27,7 +27,7 @@ from ..search.forward import select_forward
 from ..search.state import SearchState, is_local
 from .conclusions import diagnosis_of, gain_between, is_white
 from .contenders import chosen, offered
-from .force_balance import Balanced, by_force_balance
+from .force_balance import Balanced, balance_diagnosis, search_balance
 from .growing_parts import Grown, grown
 from .runs.calls import Call, Simulator, checked_function, checked_numbers
 from .runs.linearized import Linearized, linearized
@@ -86,11 +86,10 @@ def diagnose_simulator(
             """What the motion as it was measured tells, where runs over whole records do not."""
             if not (isinstance(function, Balanced) and problem.away):
                 return None
-            values, parts = np.array(list(given.values())), problem.parts()
+            own, effects = (function, tuple(given), np.array(list(given.values()))), (catalogue, max_effects)
             with contextlib.suppress(ComputationError):
-                return by_force_balance(
-                    function, tuple(given), values, *parts, catalogue, max_effects, rng=rng, progress=progress
-                )
+                search = search_balance(*own, *problem.parts(), *effects, rng=rng, progress=progress)
+                return balance_diagnosis(search)
             return None
 
         try:
@@ -234,8 +233,10 @@ def _begin(
     begun = functools.partial(_begun, problem, context_of, progress)
     found = failure = None
     if problem.away and (again := _by_own_runs(problem, start, context_of, rng, progress)) is not None:
-        # Forces that lead a run to a record from far away need many more runs than numbers do.
-        return again
+        # Forces that lead a run to a record from far away need many more runs than numbers do. Of a motion that is not
+        # stable numbers follow whatever the fit sees, exact to many more digits than they are known.
+        told = None if problem.follow(again[1].y) else balanced()
+        return again if told is None or told.verdict in NOT_EXPLAINED else told
     try:
         followed = _followed(problem, baseline, rng, progress)
         if not problem.follow(followed.y):

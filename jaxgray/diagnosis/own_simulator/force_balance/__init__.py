@@ -8,7 +8,8 @@ search       which laws are in that equation, judged by runs of the simulator ov
 conclusions  which numbers have to be other, and what is said of it
 """
 
-from .conclusions import by_force_balance
+from .conclusions import balance_diagnosis
 from .equation import Balanced
+from .search import search_balance
 
-__all__ = ["Balanced", "by_force_balance"]
+__all__ = ["Balanced", "balance_diagnosis", "search_balance"]

@@ -3,11 +3,9 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from ....mechanics.effects.base import AbstractEffect, Term
-from ....numerics.progress import AbstractProgress
-from ....records import Record
+from ....mechanics.effects.base import Term
 from ... import settings
 from ...acceptance import unproven
 from ...conclusions.equation_error import curves_of, force_diagnosis, summary_of_windows
@@ -17,8 +15,8 @@ from ...model.free_run import overall, rms_of
 from ...result import Diagnosis
 from ...selection import Runs
 from ..conclusions import is_white
-from .equation import Balanced, BalanceEquation
-from .search import BalanceSearch, search_balance
+from .equation import BalanceEquation
+from .search import BalanceSearch
 
 ALONG = (
     "A run of the simulator over the whole record leaves it at once, as that of a machine does that its controller "
@@ -26,20 +24,9 @@ ALONG = (
 )
 
 
-def by_force_balance(
-    simulator: Balanced,
-    names: tuple[str, ...],
-    given: Float[np.ndarray, " numbers"],
-    records: list[Record],
-    held: list[Record],
-    catalogue: tuple[AbstractEffect, ...],
-    max_effects: int,
-    *,
-    rng: np.random.Generator,
-    progress: AbstractProgress,
-) -> Diagnosis:
-    """The diagnosis of a simulator by its balance of forces; arguments, and what it raises, as of `search_balance`."""
-    search = search_balance(simulator, names, given, records, held, catalogue, max_effects, rng=rng, progress=progress)
+def balance_diagnosis(search: BalanceSearch) -> Diagnosis:
+    """The diagnosis of a simulator by a search in its balance of forces."""
+    records = search.records
     equation = search.equation
     as_given, fitted = equation.unmoved(), search.base_runs
     before = search.base_runs = search.run(as_given)

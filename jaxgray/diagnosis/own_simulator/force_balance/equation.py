@@ -1,6 +1,6 @@
 """The equation of motion of a simulator along a measured motion, by momenta: no acceleration is needed.
 
-    d/dt p(q, q̇, θ) = f(q, q̇, θ) + a(q, q̇, u, θ) − Σ b φ(q, q̇)        p = M(q) q̇; a: of the actuators
+    d/dt p(q, q̇, θ) = f(q, q̇, θ) + e(q, q̇, u, θ) − Σ b φ(q, q̇)        p = M(q) q̇; e: of the actuators
 
 Every term goes through one zero-phase filter. In the base parameters of a robot momenta and forces are linear, and so
 they are in its numbers θ, but for lengths: there, to first order about those that were given.
@@ -33,6 +33,9 @@ SEEN = 0.1
 IDLE = 1e-9
 """Force of a number, relative to those of the actuators, up to which it is rounding."""
 
+REACH = 3.0
+"""Periods of the end of the band over which the filter spreads what is wrong beside them."""
+
 MEAN, HELD, STRAIGHT = 1 / 12, 1 / 2, 1 / 6
 """Shares of the sample before and after: of a force as the second difference of a motion sees it; of an input that is
 held, before alone; of one that goes straight from sample to sample."""
@@ -40,15 +43,17 @@ held, before alone; of one that goes straight from sample to sample."""
 
 @runtime_checkable
 class Balanced(Protocol):
-    """A simulator that says what its equation of motion is, and runs from any state."""
+    """A simulator that says what its equation of motion is, and runs from any state. One whose steps let forces act
+    early says by how much: `lead` [s]."""
 
     def momenta(self, q: np.ndarray, v: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
         """M(q) q̇ at positions and velocities (samples × outputs)."""
 
     def forces(
-        self, q: np.ndarray, v: np.ndarray, u: np.ndarray, numbers: Mapping[str, float]
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray, numbers: Mapping[str, float]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What changes them: forces that go with the motion, and those of the actuators (samples × outputs)."""
+        """What changes them: forces that go with the motion, and those of the actuators (samples × outputs); `a`:
+        accelerations, known less well than the rest."""
 
     def windows(self, first: np.ndarray, u: np.ndarray, w: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
         """Outputs of runs of one length, from states (positions, velocities) of their own."""
@@ -72,7 +77,7 @@ class BalanceEquation(Equation):
         series: list[Series],
     ):
         self.simulator, self.names, self.given = simulator, names, given
-        self.records, self.series = records, [with_velocities(one) for one in series]
+        self.records, self.series = records, [prepared(*one) for one in zip(records, series)]
         self.dofs, self.mass, self.entries, self._known = records[0].outputs, None, 1, {}
         self.input_map = np.eye(self.dofs)
         lacking, driven = zip(*(self._rows(given, k) for k in range(len(records))))
@@ -169,7 +174,7 @@ class BalanceEquation(Equation):
         q, v = series.q[series.rows], series.v[series.rows]
         inputs = self.records[0].inputs
         units = [np.broadcast_to(e, (len(q), inputs)) for e in np.vstack([np.zeros(inputs), np.eye(inputs)])]
-        none, *every = (np.mean(self.simulator.forces(q, v, e, numbers)[1], axis=0) for e in units)
+        none, *every = (np.mean(self.simulator.forces(q, v, 0.0 * v, e, numbers)[1], axis=0) for e in units)
         return np.stack([one - none for one in every], axis=1)
 
     def _matrices(self, entries):
@@ -188,9 +193,8 @@ class BalanceEquation(Equation):
         between = self.simulator.momenta((q[1:] + q[:-1]) / 2, np.diff(q, axis=0) / h, numbers)
         rate = np.zeros_like(q)
         rate[1:-1] = np.diff(between, axis=0) / h
-        before = np.concatenate([record.u[:1], record.u[:-1]])
-        u = _mean(record.u, STRAIGHT) if record.hold == "linear" else record.u + HELD * (before - record.u)
-        own, driven = self.simulator.forces(q, v, u, numbers)
+        u = _around(record, getattr(self.simulator, "lead", 0.0) / h)
+        own, driven = self.simulator.forces(q, v, series.a, u, numbers)
         # The motion went through the filter already; and forces at the samples are what its differences see of them.
         driven = series.filtered(driven)
         return series.row_values(rate - _mean(own, MEAN) - driven), series.row_values(driven)
@@ -208,11 +212,25 @@ class BalanceEquation(Equation):
         return rows
 
 
-def with_velocities(series: Series) -> Series:
-    """A series with velocities that are exact to fourth order in the sampling time."""
+def prepared(record: Record, series: Series) -> Series:
+    """A record in the band with velocities that are exact to fourth order in the sampling time, without the rows that
+    the filter reaches from an end or a gap."""
     q, h, v = series.q, series.sampling_time, series.v.copy()
     v[2:-2] = (8 * (q[3:-1] - q[1:-3]) - (q[4:] - q[:-4])) / (12 * h)
-    return dataclasses.replace(series, v=v)
+    reach = int(np.ceil(REACH / (series.band.high * h)))
+    known = np.concatenate([[False], np.isfinite(record.y).all(axis=1), [False]])
+    lost = np.flatnonzero(~known) - 1
+    after = np.searchsorted(lost, series.rows)
+    far = np.minimum(series.rows - lost[after - 1], lost[after] - series.rows) > reach
+    return dataclasses.replace(series, v=v, rows=series.rows[far])
+
+
+def _around(record: Record, lead: float) -> Float[np.ndarray, "samples inputs"]:
+    """Inputs as a second difference of the motion sees them, where they act `lead` samples early."""
+    u = record.u
+    if record.hold == "linear":
+        return _mean(u, STRAIGHT) + lead * np.gradient(u, axis=0)
+    return u + (HELD - lead) * (np.concatenate([u[:1], u[:-1]]) - u)
 
 
 def _mean(x: Float[np.ndarray, "samples columns"], share: float) -> np.ndarray:

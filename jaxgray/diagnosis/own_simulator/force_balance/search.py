@@ -18,7 +18,7 @@ from ...equation_error.regression import ForceFit
 from ...equation_error.rows import forces_along, series_of
 from ...equation_error.search import Search
 from ...equation_error.windows import Windows, window_samples
-from .equation import Balanced, BalanceEquation, with_velocities
+from .equation import Balanced, BalanceEquation, prepared
 
 FEWEST = 8
 """Rows a number that there must be."""
@@ -93,11 +93,11 @@ def search_balance(
     progress.unlimited.stage("setting up the balance of forces")
     band = band_of(records)
     series = [series_of(record, band) for record in records]
-    rows = min(len(one.rows) for one in series)
+    equation = BalanceEquation(simulator, names, given, records, series)
+    rows = min(len(one.rows) for one in equation.series)
     if rows < FEWEST * len(names) + FEWEST:
         detail = f"{rows} rows of motion below {band.high:.3g} Hz in the shortest record"
         raise ComputationError(RESULTS.too_short, stage="balance of forces", detail=detail)
-    equation = BalanceEquation(simulator, names, given, records, series)
     laws = tuple(one for one in catalogue if isinstance(one, AbstractForceEffect) and one.places != "input")
     progress.unlimited.stage("looking for effects")
     search = BalanceSearch(
@@ -110,7 +110,7 @@ def search_balance(
         library=Library.of(equation, laws, (records[0].input_names, records[0].output_names)),
     )
     search.base = search.fit = _settled(equation)
-    everything = [with_velocities(series_of(record, band, at_rest=True)) for record in records + held]
+    everything = [prepared(record, series_of(record, band, at_rest=True)) for record in records + held]
     nothing = [np.zeros(record.samples, bool) for record in records + held]
     search.windows = Windows(records + held, everything, window_samples(records + held), nothing)
     search.select(max_effects)
