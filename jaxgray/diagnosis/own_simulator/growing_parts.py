@@ -31,7 +31,7 @@ SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 FEWEST = 100
 """Samples of the first part at least."""
 
-TURNS = 10
+TURNS = 40
 """Gauss-Newton steps a part at most."""
 
 CHANGE = 1e-4
@@ -142,30 +142,35 @@ class _Window:
 
 @dataclass(frozen=True)
 class _Unknowns:
-    """What is fitted: a vector of the entries, of which some are `free`, then for every record of the fit the forces
-    over its first samples (in `units`) that lead to its first state, with which the simulator cannot begin."""
+    """What is fitted: a vector of the entries, of which some are `free`, then, where records begin in another state
+    than the simulator does, for every record of the fit the forces over its first samples (in `units`) that lead it
+    there."""
 
     problem: Problem
     free: Bool[np.ndarray, " numbers"]
     units: tuple[Float[np.ndarray, "first dofs"], ...]
 
     @classmethod
-    def of(cls, window: _Window, calls: list[Call], y: Outputs, free: Bool[np.ndarray, " numbers"]) -> "_Unknowns":
-        """With units by which every force moves runs `y` of a part by `MOVED` of it."""
-        problem, units, runs = window.problem, [], iter(zip(window.cut(calls), y))
-        for span in problem.spans:
+    def alone(cls, problem: Problem, free: Bool[np.ndarray, " numbers"]) -> "_Unknowns":
+        """The numbers, with no forces beside them."""
+        return cls(problem, free, tuple(np.zeros((0, span.record.outputs)) for span in problem.spans))
+
+    def pushed(self, window: _Window, vector: Float[np.ndarray, " unknowns"]) -> "_Unknowns":
+        """The same with forces, in units by which each moves runs of a part by `MOVED` of it."""
+        calls, units = window.cut(self.calls(vector)), []
+        runs = iter(zip(calls, self.problem.simulator.runs(calls)))
+        for span in self.problem.spans:
             unit = np.zeros((FIRST if span.fit is not None else 0, span.record.outputs))
-            if len(unit):
-                call, one = next(runs)
-                force, size = max(float(np.std(call.u)), 1e-300), max(float(np.std(one)), 1e-300)
+            call, one = next(runs) if len(unit) else (None, None)
             for k in np.ndindex(unit.shape):
-                w = call.w.copy()
+                force, w = max(float(np.std(call.u)), 1e-300), call.w.copy()
                 w[k] += force
-                made = problem.simulator.tried(dataclasses.replace(call, w=w))
-                moved = 0.0 if made is None else float(np.sqrt(np.mean((made - one) ** 2))) / size
-                unit[k] = force * MOVED / moved if moved > 0.0 else 0.0
+                made = self.problem.simulator.tried(dataclasses.replace(call, w=w))
+                if made is not None and not isinstance(one, Failure):
+                    moved = float(np.sqrt(np.mean((made - one) ** 2))) / max(float(np.std(one)), 1e-300)
+                    unit[k] = force * MOVED / moved if moved > 0.0 else 0.0
             units.append(unit)
-        return cls(problem, free, tuple(units))
+        return _Unknowns(self.problem, self.free, tuple(units))
 
     @property
     def count(self) -> int:
@@ -216,15 +221,17 @@ class _Fit:
         """What the runs leave."""
         return self.window.left(self.y)
 
-    def sloped(self) -> "_Fit | None":
-        """With slopes by differences of runs; None where one fails."""
-        moving = self.unknowns.moving(len(self.vector))
+    def sloped(self, known: int = 0) -> "_Fit | None":
+        """With slopes by differences of runs, those of the first unknowns as they are `known`; None where one fails."""
+        moving = self.unknowns.moving(len(self.vector)) & (np.arange(len(self.vector)) >= known)
         moved = [self.unknowns.calls(self.vector + CHANGE * unit) for unit in np.eye(len(self.vector))[moving]]
         made = self.window.problem.simulator.runs([call for calls in moved for call in self.window.cut(calls)])
         if any(isinstance(one, Failure) for one in made):
             return None
         slopes = tuple(np.zeros((*y.shape, len(self.vector))) for y in self.y)
         for k, (y, S) in enumerate(zip(self.y, slopes)):
+            if known:
+                S[:, :, :known] = self.slopes[k][:, :, :known]
             S[:, :, moving] = np.stack([(one - y) / CHANGE for one in made[k :: len(self.y)]], axis=2)
         return dataclasses.replace(self, slopes=slopes, fresh=True)
 
@@ -245,7 +252,7 @@ class _Fit:
         H, g = self.normal()
         scale = np.diag(H)
         held = scale <= 0.0
-        if g @ pseudo_inverse(H, NOTHING) @ g < CLOSE:
+        if foretold(H, g) < CLOSE:
             return None
         floors = self.unknowns.floors(size)
         for damping in DAMPINGS if self.fresh else DAMPINGS[:BY_OLD]:
@@ -263,9 +270,29 @@ class _Fit:
                 return dataclasses.replace(self, vector=ahead, y=made, slopes=slopes, fresh=False)
         return None
 
+    def begins_elsewhere(self, first: _Window) -> bool:
+        """Whether records begin in another state than the simulator does, where numbers alone do not follow them, or
+        leave what forces over the `first` samples take."""
+        if len(self.vector) > self.unknowns.count:
+            return False
+        if not self.window.followed(self.y):
+            return True
+        if not self.fresh:
+            return False
+        unknowns = self.unknowns.pushed(first, self.vector)
+        size = len(self.vector) + sum(unit.size for unit in unknowns.units)
+        vector = np.concatenate([self.vector, np.zeros(size - len(self.vector))])
+        more = dataclasses.replace(self, unknowns=unknowns, vector=vector).sloped(known=len(self.vector))
+        if more is None:
+            return False
+        (H, g), count = more.normal(), len(self.vector)
+        fall = foretold(H, g) - foretold(H[:count, :count], g[:count])
+        samples = sum(self.window.samples(span) for span in self.window.spans)
+        return fall >= (size - count) * np.log(samples) + settings.MIN_DELTA_BIC
+
     def best(self, exact: bool) -> "_Fit | None":
         """Where no step leaves less, by fresh slopes there; or, if that need not be `exact`, where runs follow the
-        records. None where a run fails."""
+        records. None where a run fails, or steps do not come to an end."""
         now = self
         for _ in range(TURNS):
             if not exact and now.window.followed(now.y):
@@ -282,7 +309,12 @@ class _Fit:
             now = ahead or now
             if flat:
                 now = dataclasses.replace(now, slopes=())
-        return now
+        return None if exact else now
+
+
+def foretold(H: Float[np.ndarray, "unknowns unknowns"], g: Float[np.ndarray, " unknowns"]) -> float:
+    """By how much less a step leaves, to second order."""
+    return float(g @ pseudo_inverse(H, NOTHING) @ g)
 
 
 def grown(problem: Problem, entries: Float[np.ndarray, " numbers"]) -> Grown | None:
@@ -301,18 +333,20 @@ def sharpened(
 
 
 def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], shares: tuple[float, ...]) -> Grown | None:
-    first, calls = _Window(problem, shares[0]), problem.called(entries)
-    pushed = pushed or tuple(call.w for call in calls)
-    calls = [dataclasses.replace(call, w=w) for call, w in zip(calls, pushed)]
-    if (y := first.runs(calls)) is None:
-        return None
-    unknowns = _Unknowns.of(first, calls, y, free)
-    vector = unknowns.start(entries, pushed)
+    first, unknowns = _Window(problem, SHARES[0]), _Unknowns.alone(problem, free)
+    vector = np.array(entries, float)
+    if any(np.any(w) for w in pushed):
+        unknowns = unknowns.pushed(first, vector)
+        vector = unknowns.start(entries, pushed)
     for share in shares:
-        window, calls = _Window(problem, share), unknowns.calls(vector)
-        if share != shares[0] and (y := window.runs(calls)) is None:
+        window = _Window(problem, share)
+        if (y := window.runs(unknowns.calls(vector))) is None:
             return None
         fit = _Fit(window, unknowns, vector, y).best(exact=share == shares[-1])
+        if fit is not None and fit.begins_elsewhere(first):
+            unknowns = unknowns.pushed(first, fit.vector)
+            vector = np.concatenate([fit.vector, np.zeros(sum(unit.size for unit in unknowns.units))])
+            fit = _Fit(window, unknowns, vector, fit.y).best(exact=share == shares[-1])
         if fit is None or not window.followed(fit.y):
             return None
         vector = fit.vector
