@@ -237,6 +237,25 @@ def test_a_heap_without_an_end_costs_the_units_alone(folder, version):
         assert (record.input_units, record.output_units) == (("",), ("mm",))
 
 
+# In the latest version the length is under a checksum.
+@pytest.mark.parametrize(("version", "place"), [("earliest", "length"), ("earliest", "heap"), ("latest", "heap")])
+def test_a_unit_that_says_to_be_long_costs_no_memory(folder, version, place):
+    path = folder / "a.h5"
+    with h5py.File(path, "w", libver=version) as file:
+        file["u"], file["y"] = SERIES, SERIES
+        file["u"].attrs["units"], file["y"].attrs["unit"] = "newton", ""
+    assert read_record(path, **CHANNELS).input_units == ("newton",)
+    content = bytearray(path.read_bytes())
+    heap = content.index(b"GCOL")
+    # Length, heap and number of the text: 6 bytes in its first object.
+    at = content.index((6).to_bytes(4, "little") + heap.to_bytes(8, "little")) if place == "length" else heap + 8
+    content[at : at + 4] = (2**29).to_bytes(4, "little")
+    path.write_bytes(content)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert read_record(path, **CHANNELS).input_units == ("",)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
+
+
 def test_what_nests_deep_ends_with_a_line(folder):
     # A structure of one field that holds the next, and so on.
     head = struct.pack("<IIQ", 6, 8, 2) + struct.pack("<IIii", 5, 8, 1, 1) + struct.pack("<II", 1, 0)

@@ -2,7 +2,7 @@
 
 import functools
 import mmap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import prod
 from pathlib import Path
 
@@ -19,6 +19,12 @@ OTHER_FILTERS = {2: "shuffle", 3: "fletcher32"}
 
 HEAP = b"GCOL\1"
 """Beginning of a global heap."""
+
+UNITS = "units", "unit"
+"""Names of the attribute that says a unit."""
+
+VARIABLE_LENGTH = 9
+"""Class of a datatype of variable length."""
 
 LONGEST_UNIT = 200
 """Bytes of the attribute of a dataset."""
@@ -65,7 +71,7 @@ def read_hdf5(path: Path, *, transposed: bool = False) -> Table:
         return values.T if transposed else values
 
     with hdf5_file(path) as file, reading(path, what):
-        sound = functools.cache(functools.partial(_heaps_end, file, path))
+        sound = functools.cache(functools.partial(_texts_are_there, file, path))
         for name, node in data_sets(file).items():
             if not name.startswith("#") and node.dtype.kind in KINDS and node.shape is not None:
                 shown = name.replace("/", ".") if transposed else name
@@ -128,7 +134,7 @@ def readable(path: Path, node, rows: int | None = None):
 def _unit(node, sound: Callable[[], bool]) -> str:
     import h5py
 
-    for name in ("units", "unit"):
+    for name in UNITS:
         if name in node.attrs:
             attribute = node.attrs.get_id(name)
             # Other objects of variable length than texts make the library crash where they are damaged.
@@ -141,34 +147,75 @@ def _unit(node, sound: Callable[[], bool]) -> str:
     return ""
 
 
-def _heaps_end(file, path: Path) -> bool:
-    """Whether all global heaps of a file can be walked to their end: in a damaged one the library never comes there.
+def _texts_are_there(file, path: Path) -> bool:
+    """Whether the units of variable length in a file can be read without harm: its global heaps can be walked to their
+    end, to which the library never comes in a damaged one, and every such unit is an object of them and no longer than
+    it, since the library asks for as much memory as its length says.
 
-    **Reference:** HDF5 File Format Specification 3.0, section III.E, Disk Format: Level 1E - Global Heap.
+    **Reference:** HDF5 File Format Specification 3.0, sections III.E, Disk Format: Level 1E - Global Heap, and
+    IV.A.2.m, The Attribute Message.
     """
     _, size = file.id.get_create_plist().get_sizes()
+    nodes = data_sets(file).values()
+    units = [node.attrs.get_id(name).dtype for node in nodes for name in UNITS if name in node.attrs]
     with open(path, "rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        place = content.find(HEAP)
-        while place >= 0:
-            if not _heap_ends(content, place, size):
+        texts: dict[bytes, int] = {}
+        for place in _places(content, HEAP):
+            found = _heap(content, place, size)
+            if found is None:
                 return False
-            place = content.find(HEAP, place + 1)
-    return True
+            texts |= {place.to_bytes(size, "little") + index: length for index, length in found.items()}
+        names = [name.encode() for name in UNITS]
+        fit = [_text_fits(content, at, name, texts, size) for name in names for at in _places(content, name + b"\0")]
+    fit = [one for one in fit if one is not None]
+    return all(fit) and len(fit) >= sum(dtype.kind == "O" for dtype in units)
 
 
-def _heap_ends(content, start: int, size: int) -> bool:
+def _places(content, text: bytes) -> Iterator[int]:
+    place = content.find(text)
+    while place >= 0:
+        yield place
+        place = content.find(text, place + 1)
+
+
+def _text_fits(content, place: int, name: bytes, texts: dict[bytes, int], size: int) -> bool | None:
+    """Whether the attribute of this name is a text of variable length that a heap has; None where it is none."""
+
+    def number(at: int, length: int) -> int:
+        return int.from_bytes(content[at : at + length], "little")
+
+    for head, version, filled in ((8, 1, 8), (8, 2, 1), (9, 3, 1)):
+        begin = place - head
+        if begin < 0 or content[begin] != version or number(begin + 2, 2) != len(name) + 1:
+            continue
+        own, kind, space = (-(-number(begin + at, 2) // filled) * filled for at in (2, 4, 6))
+        if place + own >= len(content) or content[place + own] & 0x0F != VARIABLE_LENGTH:
+            return None
+        at = place + own + kind + space
+        length = number(at, 4)
+        return length <= texts.get(content[at + 4 : at + 4 + size + 4], 0)
+    return None
+
+
+def _heap(content, start: int, size: int) -> dict[bytes, int] | None:
+    """Objects of a global heap, by their number, and how long they are; None where it cannot be walked to its end."""
+
     def length(place: int) -> int:
         return int.from_bytes(content[place : place + size], "little")
 
-    head = 8 + size
+    head, found = 8 + size, {}
     end = start + length(start + 8)
+    if end > len(content):
+        # The library asks for as much memory as a heap says that it has.
+        return None
     # After the heap's own head, which is filled up to eight bytes, objects with heads of their own.
     place = start + head + -head % 8
-    while place + head <= min(end, len(content)):
+    while place + head <= end:
         index, stored = int.from_bytes(content[place : place + 2], "little"), length(place + 8)
         # What is free is the last, and its size counts its head.
         step = head + -head % 8 + stored + -stored % 8 if index else stored
         if not head <= step <= end - place:
-            return False
+            return None
+        found[index.to_bytes(4, "little")] = stored
         place += step
-    return True
+    return found
