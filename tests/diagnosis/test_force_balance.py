@@ -102,6 +102,21 @@ def test_nothing_is_said_of_a_simulator_that_is_right():
     assert found.verdict == "noise" and model_findings(found) == []
 
 
+def test_a_function_of_the_simulator_that_fails_is_said(cubic):
+    class Wrong(Upright):
+        def momenta(self, q, v, numbers):
+            return numbers["mass"] * v
+
+    class Flat(Upright):
+        def momenta(self, q, v, numbers):
+            return super().momenta(q, v, numbers)[:, 0]
+
+    given, series = np.array(list(TRUTH.values())), [series_of(cubic, Band(0.0, 5.0))]
+    for simulator, text in ((Wrong(), "its momenta raised KeyError: 'mass'"), (Flat(), "its momenta gave shape")):
+        with pytest.raises(jaxgray.ComputationError, match=text):
+            BalanceEquation(simulator, tuple(TRUTH), given, [cubic], series)
+
+
 @pytest.mark.parametrize("hold", ["zero", "linear"])
 def test_the_equation_holds_along_its_own_motion(hold):
     rng, numbers = np.random.default_rng(2), {"inertia": 0.1, "weight": -1.5, "damping": 0.2}

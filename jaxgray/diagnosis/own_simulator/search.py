@@ -87,9 +87,12 @@ def diagnose_simulator(
             if not (isinstance(function, Balanced) and problem.away):
                 return None
             own, effects = (function, tuple(given), np.array(list(given.values()))), (catalogue, max_effects)
-            with contextlib.suppress(ComputationError):
+            try:
                 search = search_balance(*own, *problem.parts(), *effects, rng=rng, progress=progress)
                 return balance_diagnosis(search)
+            except ComputationError as error:
+                if error.result == RESULTS.simulator_failed:
+                    raise
             return None
 
         try:

@@ -11,12 +11,13 @@ momenta.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ....numerics.outcomes import RESULTS, ComputationError
 from ....records import Record
 from ... import settings
 from ...equation_error.band import ABOVE_NOISE
@@ -165,7 +166,7 @@ class BalanceEquation(Equation):
         q = self.series[0].q[self.series[0].rows]
         numbers = dict(zip(self.names, self.given))
         units = [np.broadcast_to(e, q.shape) for e in np.eye(self.dofs)]
-        M = np.stack([np.mean(self.simulator.momenta(q, e, numbers), axis=0) for e in units], axis=1)
+        M = np.stack([np.mean(self._momenta(q, e, numbers), axis=0) for e in units], axis=1)
         return (M + M.T) / 2
 
     def mean_input_map(self) -> Float[np.ndarray, "dofs inputs"]:
@@ -174,7 +175,7 @@ class BalanceEquation(Equation):
         q, v = series.q[series.rows], series.v[series.rows]
         inputs = self.records[0].inputs
         units = [np.broadcast_to(e, (len(q), inputs)) for e in np.vstack([np.zeros(inputs), np.eye(inputs)])]
-        none, *every = (np.mean(self.simulator.forces(q, v, 0.0 * v, e, numbers)[1], axis=0) for e in units)
+        none, *every = (np.mean(self._forces(q, v, 0.0 * v, e, numbers)[1], axis=0) for e in units)
         return np.stack([one - none for one in every], axis=1)
 
     def _matrices(self, entries):
@@ -186,15 +187,35 @@ class BalanceEquation(Equation):
     def _entries(self, matrices):
         return matrices[0]
 
+    def windows(
+        self,
+        first: Float[np.ndarray, "windows states"],
+        u: Float[np.ndarray, "windows samples inputs"],
+        w: Float[np.ndarray, "windows samples dofs"],
+        fit: ForceFit,
+    ) -> Float[np.ndarray, "windows samples dofs"]:
+        """Runs of the simulator with the numbers of a fit, from states of their own.
+
+        **Raises:** `ComputationError` where it fails, or gives what has another shape.
+        """
+        numbers = dict(zip(self.names, map(float, self.numbers(fit))))
+        return _given(self.simulator.windows, w.shape, first, u, w, numbers)
+
+    def _momenta(self, q, v, numbers) -> np.ndarray:
+        return _given(self.simulator.momenta, q.shape, q, v, numbers)
+
+    def _forces(self, q, v, a, u, numbers) -> np.ndarray:
+        return _given(self.simulator.forces, (2, *q.shape), q, v, a, u, numbers)
+
     def _rows(self, values: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Rate of the momenta less all forces, and the forces of the actuators, at the rows of a record."""
         series, record, numbers = self.series[k], self.records[k], dict(zip(self.names, map(float, values)))
         q, v, h = series.q, series.v, series.sampling_time
-        between = self.simulator.momenta((q[1:] + q[:-1]) / 2, np.diff(q, axis=0) / h, numbers)
+        between = self._momenta((q[1:] + q[:-1]) / 2, np.diff(q, axis=0) / h, numbers)
         rate = np.zeros_like(q)
         rate[1:-1] = np.diff(between, axis=0) / h
         u = _around(record, getattr(self.simulator, "lead", 0.0) / h)
-        own, driven = self.simulator.forces(q, v, series.a, u, numbers)
+        own, driven = self._forces(q, v, series.a, u, numbers)
         # The motion went through the filter already; and forces at the samples are what its differences see of them.
         driven = series.filtered(driven)
         return series.row_values(rate - _mean(own, MEAN) - driven), series.row_values(driven)
@@ -210,6 +231,21 @@ class BalanceEquation(Equation):
             if np.sqrt(np.mean((np.concatenate(rows) / self.size) ** 2)) >= SEEN:
                 break
         return rows
+
+
+def _given(function: Callable, shape: tuple[int, ...], *arguments) -> np.ndarray:
+    """What a function of the user's simulator gives.
+
+    **Raises:** `ComputationError` where it fails, or gives what has another shape.
+    """
+    try:
+        made = np.asarray(function(*arguments), dtype=float)
+        detail = f"its {function.__name__} gave shape {made.shape}, not {shape}"
+    except Exception as error:  # Whatever a user's function raises is what it says of these arguments.
+        made, detail = np.zeros(0), f"its {function.__name__} raised {type(error).__name__}: {error}"
+    if made.shape != shape:
+        raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
+    return made
 
 
 def prepared(record: Record, series: Series) -> Series:

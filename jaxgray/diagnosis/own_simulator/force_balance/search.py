@@ -53,14 +53,13 @@ class BalanceSearch(Search):
     def run(self, fit):
         """Runs over windows, the laws as forces along the measured motion."""
         equation, windows = self.equation, self.windows
-        numbers = dict(zip(equation.names, map(float, equation.numbers(fit))))
         u = windows.cut([record.u for record in self.records + self.held])
         w = windows.cut([-self._laws(fit.terms, series) for series in windows.series])
 
         def runs(states: Float[np.ndarray, "windows runs states"]) -> np.ndarray:
             count, many, size = states.shape
             flat = (states.reshape(-1, size), *(np.repeat(x, many, axis=0) for x in (u, w)))
-            made = equation.simulator.windows(*flat, numbers)
+            made = equation.windows(*flat, fit)
             return made.reshape(count, many, *made.shape[1:])
 
         found = windows.fitted(runs)
