@@ -114,10 +114,7 @@ def judged(seed, effect, folder):
     if wanted is not None:
         right &= not laws and any(wanted in one for one in off)
     else:
-        right &= [(effect, JOINTS[at])] == [one for law in laws for one in law if one == (effect, JOINTS[at])]
-        right &= len(laws) == 1
-    if effect is None:
-        right = not laws and all(set(one) & expected for one in off)
+        right &= not laws if effect is None else len(laws) == 1 and (effect, JOINTS[at]) in laws[0]
     truth = {"shoulder.damping": true["d1"], "elbow.damping": true["d2"], "flange.payload": 0.0}
     truth |= {"shoulder.frictionloss": true["f1"], "elbow.frictionloss": true["f2"]}
     truth |= {"shoulder.armature": 0.02, "elbow.armature": 0.01}

@@ -115,8 +115,9 @@ class MujocoSimulator:
     @property
     def lead(self) -> float:
         """By how much its steps let forces act early [s]: where a position ends up, the force of its step has acted for
-        half a step longer than that took."""
-        return self.model.opt.timestep / 2
+        half a step longer than that took; not so by Runge and Kutta."""
+        exact = self.model.opt.integrator == mjcf.library().mjtIntegrator.mjINT_RK4
+        return 0.0 if exact else self.model.opt.timestep / 2
 
     def momenta(
         self,

@@ -138,29 +138,31 @@ def test_the_equation_holds_along_its_own_motion(hold):
     assert np.allclose(wrong.numbers(fit), list(numbers.values()), rtol=1e-3)
 
 
-def test_an_arm_of_mujoco_says_what_makes_its_momenta(tmp_path):
+@pytest.mark.parametrize("integrator", ["implicitfast", "RK4"])
+def test_an_arm_of_mujoco_says_what_makes_its_momenta(tmp_path, integrator):
+    # Steps that let forces act early by half of one leave twice as much if that is not said.
     pytest.importorskip("mujoco")
     (tmp_path / "arm.xml").write_text(
-        """<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="implicitfast"/><worldbody><body>
+        f"""<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="{integrator}"/><worldbody><body>
         <joint name="a" type="hinge" axis="0 1 0" damping="0.3" armature="0.02"/>
         <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.3" mass="1"/><body pos="0 0 -0.3">
-        <joint name="b" type="hinge" axis="0 1 0" damping="0.15" frictionloss="0.05" armature="0.01"/>
+        <joint name="b" type="hinge" axis="0 1 0" damping="0.15" armature="0.01"/>
         <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.25" mass="0.6"/><site name="tip" pos="0 0 -0.25"/>
         </body></body></worldbody><actuator><motor name="m" joint="a"/><motor name="n" joint="b" gear="2"/></actuator>
         </mujoco>"""
     )
     rng = np.random.default_rng(4)
-    u = scipy.signal.sosfilt(scipy.signal.butter(3, 2.0 * 2 * H, output="sos"), rng.standard_normal((SAMPLES, 2)), 0)
+    u = scipy.signal.sosfilt(scipy.signal.butter(3, 2 * H, output="sos"), rng.standard_normal((SAMPLES, 2)), 0)
     u = u / u.std(axis=0) * [1.2, 0.3]
     names = {"input_names": ["m", "n"], "output_names": ["a", "b"]}
     record = jaxgray.Record(u, np.zeros((SAMPLES, 2)), H, **names)
     simulator = jaxgray.MujocoSimulator(tmp_path / "arm.xml", record)
     y = simulator(u, np.zeros((SAMPLES, 2)), simulator.numbers)
     record = jaxgray.Record(u, y, H, **names)
-    series = [series_of(record, Band(0.0, 8.0))]
+    series = [series_of(record, Band(0.0, 12.0))]
     given = np.array(list(simulator.numbers.values()))
     equation = BalanceEquation(simulator, tuple(simulator.numbers), given, [record], series)
-    assert equation.relative_error(equation.unmoved()) < 0.02
+    assert equation.relative_error(equation.unmoved()) < 1e-3
     # Masses are positive, and an input acts where its motor does.
     assert np.all(np.linalg.eigvalsh(equation.mean_mass()) > 0)
     assert np.allclose(equation.mean_input_map(), np.diag([1.0, 2.0]), atol=1e-9)

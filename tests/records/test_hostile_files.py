@@ -239,16 +239,22 @@ def test_a_heap_without_an_end_costs_the_units_alone(folder, version):
 
 # In the latest version the length is under a checksum.
 @pytest.mark.parametrize(("version", "place"), [("earliest", "length"), ("earliest", "heap"), ("latest", "heap")])
-def test_a_unit_that_says_to_be_long_costs_no_memory(folder, version, place):
+@pytest.mark.parametrize("block", [0, 512])
+def test_a_unit_that_says_to_be_long_costs_no_memory(folder, version, place, block):
+    # MATLAB begins its files with a block of its own.
     path = folder / "a.h5"
-    with h5py.File(path, "w", libver=version) as file:
+    with h5py.File(path, "w", libver=version, userblock_size=block) as file:
         file["u"], file["y"] = SERIES, SERIES
         file["u"].attrs["units"], file["y"].attrs["unit"] = "newton", ""
     assert read_record(path, **CHANNELS).input_units == ("newton",)
     content = bytearray(path.read_bytes())
     heap = content.index(b"GCOL")
     # Length, heap and number of the text: 6 bytes in its first object.
-    at = content.index((6).to_bytes(4, "little") + heap.to_bytes(8, "little")) if place == "length" else heap + 8
+    at = (
+        content.index((6).to_bytes(4, "little") + (heap - block).to_bytes(8, "little"))
+        if place == "length"
+        else heap + 8
+    )
     content[at : at + 4] = (2**29).to_bytes(4, "little")
     path.write_bytes(content)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

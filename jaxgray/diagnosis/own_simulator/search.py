@@ -82,6 +82,7 @@ def diagnose_simulator(
         problem = Problem(simulator, tuple(Span(*one) for one in spans), np.array(list(given.values())), FORCES)
         rng = np.random.default_rng(seed)
 
+        @functools.cache
         def balanced() -> Diagnosis | None:
             """What the motion as it was measured tells, where runs over whole records do not."""
             if not (isinstance(function, Balanced) and problem.away):

@@ -164,7 +164,9 @@ def _texts_are_there(file, path: Path) -> bool:
             found = _heap(content, place, size)
             if found is None:
                 return False
-            texts |= {place.to_bytes(size, "little") + index: length for index, length in found.items()}
+            # Addresses count from behind a block of the user, which MATLAB puts in front.
+            own = (place - file.userblock_size).to_bytes(size, "little", signed=True)
+            texts |= {own + index: length for index, length in found.items()}
         names = [name.encode() for name in UNITS]
         fit = [_text_fits(content, at, name, texts, size) for name in names for at in _places(content, name + b"\0")]
     fit = [one for one in fit if one is not None]

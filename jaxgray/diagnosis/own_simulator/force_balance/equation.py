@@ -48,16 +48,20 @@ class Balanced(Protocol):
     early says by how much: `lead` [s]."""
 
     def momenta(self, q: np.ndarray, v: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
-        """M(q) q̇ at positions and velocities (samples × outputs)."""
+        """M(q) q̇ (samples × outputs; [kg m/s], [kg m²/s] of an angle) at positions and velocities of the outputs (the
+        same)."""
 
     def forces(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray, numbers: Mapping[str, float]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What changes them: forces that go with the motion, and those of the actuators (samples × outputs); `a`:
-        accelerations, known less well than the rest."""
+        """What changes them: forces that go with the motion, and those of the actuators (each samples × outputs; [N],
+        [N m] of an angle), under inputs `u` (samples × inputs); `a`: accelerations, known less well than the rest, for
+        dry friction and stops that depend on them."""
 
     def windows(self, first: np.ndarray, u: np.ndarray, w: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
-        """Outputs of runs of one length, from states (positions, velocities) of their own."""
+        """Outputs of runs of one length (windows × samples × outputs) under inputs `u` (windows × samples × inputs) and
+        forces `w` (windows × samples × outputs), from states of their own (windows × positions, then velocities); NaN
+        from where one goes astray."""
 
 
 class BalanceEquation(Equation):
@@ -202,10 +206,10 @@ class BalanceEquation(Equation):
         return _given(self.simulator.windows, w.shape, first, u, w, numbers)
 
     def _momenta(self, q, v, numbers) -> np.ndarray:
-        return _given(self.simulator.momenta, q.shape, q, v, numbers)
+        return _given(self.simulator.momenta, q.shape, q, v, numbers, finite=True)
 
     def _forces(self, q, v, a, u, numbers) -> np.ndarray:
-        return _given(self.simulator.forces, (2, *q.shape), q, v, a, u, numbers)
+        return _given(self.simulator.forces, (2, *q.shape), q, v, a, u, numbers, finite=True)
 
     def _rows(self, values: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Rate of the momenta less all forces, and the forces of the actuators, at the rows of a record."""
@@ -233,16 +237,18 @@ class BalanceEquation(Equation):
         return rows
 
 
-def _given(function: Callable, shape: tuple[int, ...], *arguments) -> np.ndarray:
+def _given(function: Callable, shape: tuple[int, ...], *arguments, finite: bool = False) -> np.ndarray:
     """What a function of the user's simulator gives.
 
-    **Raises:** `ComputationError` where it fails, or gives what has another shape.
+    **Raises:** `ComputationError` where it fails, or gives what has another shape or, where it must be, is not finite.
     """
     try:
         made = np.asarray(function(*arguments), dtype=float)
         detail = f"its {function.__name__} gave shape {made.shape}, not {shape}"
     except Exception as error:  # Whatever a user's function raises is what it says of these arguments.
         made, detail = np.zeros(0), f"its {function.__name__} raised {type(error).__name__}: {error}"
+    if made.shape == shape and finite and not np.all(np.isfinite(made)):
+        made, detail = np.zeros(0), f"its {function.__name__} gave what is not finite"
     if made.shape != shape:
         raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
     return made

@@ -93,6 +93,8 @@ def search_balance(
     band = band_of(records)
     series = [series_of(record, band) for record in records]
     equation = BalanceEquation(simulator, names, given, records, series)
+    if not any(np.any(rows) for rows in equation.driven):
+        raise ComputationError(RESULTS.unreachable, stage="balance of forces", detail="no actuator acts")
     rows = min(len(one.rows) for one in equation.series)
     if rows < FEWEST * len(names) + FEWEST:
         detail = f"{rows} rows of motion below {band.high:.3g} Hz in the shortest record"
