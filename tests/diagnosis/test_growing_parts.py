@@ -3,10 +3,9 @@ grow; data from equations of their own, with the truth in them."""
 
 import numpy as np
 import pendulum
-import pytest
 
 import jaxgray
-from jaxgray.diagnosis.own_simulator.growing_parts import grown
+from jaxgray.diagnosis.own_simulator.growing_parts import Ended, Grown, bettered, grown
 from jaxgray.diagnosis.own_simulator.runs.calls import Simulator
 from jaxgray.diagnosis.own_simulator.runs.problem import Problem, Span
 from jaxgray.diagnosis.own_simulator.runs.tracking import relative_error
@@ -34,29 +33,49 @@ def problem_of(record, end=SAMPLES):
 START = np.array(list(GIVEN.values())) / UNITS
 
 
-@pytest.mark.parametrize("kick", [0.0, KICK])
-def test_numbers_far_off_are_found_whatever_the_first_state(kick):
-    problem = problem_of(measured(kick=kick))
+def right(found, problem):
+    """Whether entries are the truth, and leave nothing but noise."""
+    e = problem.record.y - found.runs.y[0]
+    assert np.allclose(found.entries * UNITS, list(pendulum.TRUTH.values()), rtol=0.02)
+    return np.sqrt(np.mean(e**2)) < 1.1 * 0.003 * problem.record.y.std()
+
+
+def test_numbers_far_off_are_found():
+    problem = problem_of(measured())
     before = problem.tried(problem.called(START))
     assert relative_error(problem.record, before.y[0]) > 0.1, "with the numbers that were given it moves elsewhere"
-    found = grown(problem, START)
-    assert found is not None
-    assert np.allclose(found.entries * UNITS, list(pendulum.TRUTH.values()), rtol=0.02)
-    e = problem.record.y - found.runs.y[0]
-    assert np.sqrt(np.mean(e**2)) < 1.1 * 0.003 * problem.record.y.std()
+    near = grown(problem, START)
+    assert isinstance(near, Ended) and problem.follow(near.runs.y), "parts end to grow near the whole record"
+    assert np.allclose(near.entries * UNITS, list(pendulum.TRUTH.values()), rtol=0.02)
+    found = bettered(problem, near.entries, near.runs)
+    assert isinstance(found, Grown) and right(found, problem)
     # Slopes are those of the simulator.
     one, other = (
-        pendulum.simulator(problem.record.u, 0 * e, dict(zip(GIVEN, (found.entries + x * np.eye(4)[2]) * UNITS)))
-        for x in (0.0, 1e-5)
+        pendulum.simulator(problem.record.u, 0 * near.runs.y[0], dict(zip(GIVEN, (found.entries + x) * UNITS)))
+        for x in (0.0, 1e-5 * np.eye(4)[2])
     )
-    if kick == 0:
-        slope = ((other - one) / 1e-5).reshape(-1)
-        assert np.linalg.norm(slope - found.slopes[0][:, 0, 2]) < 0.1 * np.linalg.norm(slope)
+    slope = ((other - one) / 1e-5).reshape(-1)
+    assert np.linalg.norm(slope - found.slopes[0][:, 0, 2]) < 0.1 * np.linalg.norm(slope)
+
+
+def test_numbers_far_off_are_found_whatever_the_first_state():
+    problem = problem_of(measured(kick=KICK))
+    found = grown(problem, START)
+    assert isinstance(found, Grown) and right(found, problem)
+    assert np.any(found.pushed[0][:2]) and not np.any(found.pushed[0][2:])
+
+
+def test_a_law_that_is_missing_is_seen_before_more_runs_are_spent():
+    problem, true = problem_of(measured(pendulum.cogging, 0.02)), np.array(list(pendulum.TRUTH.values())) / UNITS
+    runs = problem.tried(problem.called(true))
+    spent = problem.simulator.count
+    assert bettered(problem, true, runs) is None
+    assert problem.simulator.count - spent == len(GIVEN)
 
 
 def test_what_numbers_do_not_explain_ends_it_soon():
     problem = problem_of(measured(pendulum.cogging, 0.3))
-    assert grown(problem, START) is None
+    assert isinstance(grown(problem, START), Ended)
     assert problem.simulator.count < 150
 
 
@@ -70,4 +89,4 @@ def test_a_simulator_that_fails_on_the_way_ends_it():
         return plain(u, w, numbers)
 
     problem.simulator.function = fails
-    assert grown(problem, START) is None
+    assert isinstance(grown(problem, START), Ended)

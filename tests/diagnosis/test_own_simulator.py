@@ -86,7 +86,7 @@ def test_numbers_of_which_only_a_sum_is_known_stand_for_one_another():
     values = {member.location: member.parameters["value"] for member in finding.members}
     assert values.keys() == {"bearing", "seal"} and "this record cannot tell which" in found.sentence
     assert abs(values["bearing"].value - 0.06) < 5e-5 and abs(values["seal"].value - 0.03) < 5e-5
-    assert all(one.standard_error < 5e-5 for one in values.values())
+    assert all(one.standard_error < 2e-4 for one in values.values())
     assert found.gain.percent > 95 and abs(found.curves[0].extended[:, 0] - q[:1050]).max() < 0.01 * q.std()
 
 

@@ -2,6 +2,7 @@
 
     runs               the simulator as it is called, and the linear plant that stands for it about a run
     search             numbers first, then laws, then both in the simulator itself
+    beginning          the linear plant about a run near the records, and the numbers there
     growing_parts      numbers by its own runs, over parts of the records that grow
     settling           laws and numbers where they stand still in the simulator
     contenders         the law that explains most there

@@ -12,15 +12,14 @@ from ..conclusions.candidates import gate_of, rejected_of
 from ..data_checks.record_findings import noise_findings
 from ..estimation.context import SearchContext
 from ..findings import Curves, Estimate, Finding, Gain, Member, ParameterShift
-from ..model.free_run import FreeRun, overall, rms_of
+from ..model.free_run import overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.floor import ADOPTED, independent_floor
-from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..search.state import SearchState
 from .necessary_numbers import Necessary, necessary
 from .runs.problem import Outputs, Parts, Problem, Runs, nearer, parts_of
-from .settling import Settled, shown_by
+from .settling import Settled, foreseen_by, is_white, shown_by
 
 UNSETTLED = "The laws and numbers still moved in the last run of the simulator"
 
@@ -144,16 +143,11 @@ def joined(states: list[SearchState]) -> SearchState:
     return last
 
 
-def is_white(runs: list[FreeRun]) -> bool:
-    """Whether runs leave about as much as the white part of it."""
-    return all(np.all(run.rmse**2 <= settings.MIN_EXCESS**2 * white_part(run.e, run.kept)) for run in runs)
-
-
 def _leaves_more(problem: Problem, settled: Settled, followed: Runs, floor: np.ndarray | None, source: str) -> bool:
     """Whether laws and numbers leave more than noise: than a floor that is known of otherwise, than what the linear
     plant foresaw, or much more than a force that makes the simulator follow the records."""
     after = rms_of(parts_of(problem, settled.y)[0])
-    foreseen = [FreeRun(e, e, d.kept) for e, d in zip(settled.fit.residual, settled.data)]
+    foreseen = foreseen_by(settled.fit, settled.data)
     if floor is not None and source != ADOPTED and overall(after, floor) >= settings.MIN_EXCESS:
         return True
     led = rms_of(parts_of(problem, followed.y)[0])

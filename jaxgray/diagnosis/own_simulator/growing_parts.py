@@ -3,11 +3,13 @@
 Where a motion hangs sharply on the numbers (contact, backlash, an arm that turns over and over), a linear plant about
 one run does not foretell another, and the sum of squares over a whole record has many minima. Over a short part it has
 one, and from there the fit of a longer part begins. A part that numbers alone do not follow ends it. The simulator runs
-no further than a part, and slopes are taken from its runs by differences where those of the steps before lead nowhere.
+no further than a part; slopes are taken from its runs by differences where those of the steps before lead nowhere, and
+a run that a step leads too far says how the way bends.
 
 **Reference:** Bock, *Recent advances in parameter identification techniques for ODE* (1983), for windows in place of
 the whole record; here one window grows. Broyden, *A class of methods for solving nonlinear simultaneous equations*,
-Math. Comp. 19 (1965) 577-593, for slopes that learn from every step.
+Math. Comp. 19 (1965) 577-593, for slopes that learn from every step. Transtrum & Sethna, *Geodesic acceleration and the
+small-curvature approximation for nonlinear least squares* (2012), for steps along a way that bends.
 """
 
 import dataclasses
@@ -24,35 +26,43 @@ from ..model.free_run import FreeRun, rms_of
 from ..noise.whitening import white_part
 from .runs.calls import Call, Failure
 from .runs.problem import Outputs, Problem, Runs, Span
+from .runs.tracking import near_until
 
-SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
-"""Parts of the data of the fit, one after the other."""
+BEGIN, LONGER, LITTLE = 1 / 16, 4.0, 1.5
+"""The first part of the data of the fit; how many times longer the next one is; and how many times longer one may be in
+which runs are not near the records before it is fitted."""
 
 FEWEST = 100
 """Samples of the first part at least."""
 
-TURNS = 40
-"""Gauss-Newton steps a part at most."""
+SLOPES, STEPS, PROMISE = 3, 20, 2.0
+"""Times that slopes are taken for a part, and Gauss-Newton steps, at most; and how many times more runs may leave than
+those that follow a record, by what slopes foretell, for a first step."""
 
-CHANGE = 1e-4
-"""Change of an entry for its slope: the motion answers to it far above rounding and far below the motion itself."""
+CHANGE = 1e-4, 0.1
+"""Change of an entry for its slope, to which the motion answers far above rounding and far below itself; and of a force
+that leads to a first state, which friction may hold."""
 
 FIRST, MOVED, LARGEST = 2, 0.1, 1e6
 """Samples over which forces lead to a first state; by how much one moves a run, relative to it, and the most of them
 in units of that."""
 
-FLAT, CLOSE = 1.0, 0.01
+FLAT, CLOSE = 1.0, 0.06
 """Fall of N ln(mean square) up to which a step was the last; and the one foretold up to which it is worth no run."""
 
-DAMPINGS, BY_OLD = 1e-3 * 10.0 ** np.arange(6), 2
+DAMPINGS, BY_OLD = (1e-3, 1e-1, 10.0), 1
 """Of steps that are tried, relative to the diagonal of the normal equations, where the one before did not go down; and
 how many of them by slopes of steps before."""
+
+STRAIGHT, ACCELERATION, WAYS = 0.1, 0.75, 0.8 ** np.arange(1, 15)
+"""How far a step may end from where slopes foretold, relative to its length, for these to serve on; by how much a way
+may bend, relative to its length; and shares of a step that are weighed."""
 
 
 @dataclass(frozen=True)
 class Grown:
     """`entries` that follow all data of the fit, the `runs` with them, forces by which these were pushed into their
-    first states, a span, and slopes of the runs by every entry, a record of the fit up to where that ends."""
+    first states, a span, and slopes of the runs by every entry, a span."""
 
     entries: Float[np.ndarray, " numbers"]
     runs: Runs
@@ -62,8 +72,7 @@ class Grown:
     def fit(self, problem: Problem, fit: Refit) -> Refit:
         """A refit in the linear plant about these runs, with what the simulator itself says of residual and slopes in
         its place."""
-        fitted = [(s, y) for s, y in zip(problem.spans, self.runs.y) if s.fit is not None]
-        spans = [(s, y, S) for (s, y), S in zip(fitted, self.slopes)]
+        spans = [one for one in zip(problem.spans, self.runs.y, self.slopes) if one[0].fit is not None]
         count, residuals, jacobians = len(self.entries), [], []
         for (span, y, S), e, J in zip(spans, fit.residual, fit.jacobian):
             e, J, run = np.zeros_like(e), np.array(J), span.run(y, span.fit)
@@ -84,35 +93,56 @@ class Grown:
 
 
 @dataclass(frozen=True)
+class Ended:
+    """Where parts ended to grow: `entries` that follow the longest one, and `runs` with these where they are near the
+    whole records."""
+
+    entries: Float[np.ndarray, " numbers"]
+    runs: Runs | None = None
+
+
+@dataclass(frozen=True)
 class _Window:
     """The first part of the data of every record of the fit, as large a `share` of them: the simulator runs no further.
-    Its runs are the outputs of these records alone, up to there."""
+    Its runs are the outputs of these records alone, up to there; all of it are the whole records, those held out among
+    them."""
 
     problem: Problem
     share: float
 
     @property
     def spans(self) -> list[Span]:
-        """The records of the fit."""
-        return [span for span in self.problem.spans if span.fit is not None]
+        """The records that are run."""
+        return [span for span in self.problem.spans if self._runs(span)]
+
+    def _runs(self, span: Span) -> bool:
+        return span.fit is not None or self.share == 1.0
 
     def samples(self, span: Span) -> int:
         """How many samples of the fit it holds of a record."""
         count = span.fit.stop - span.fit.start
         return min(max(round(self.share * count), FEWEST), count)
 
-    def cut(self, calls: list[Call]) -> list[Call]:
-        """Calls of all spans as those of this part."""
-        pairs = [(span, call) for span, call in zip(self.problem.spans, calls) if span.fit is not None]
-        ends = [span.fit.start + self.samples(span) for span, _ in pairs]
-        return [dataclasses.replace(call, u=call.u[:end], w=call.w[:end]) for end, (_, call) in zip(ends, pairs)]
+    def made(self, *calls: list[Call]) -> list[list[np.ndarray | Failure]]:
+        """What calls of all spans, once or several times, come to in this part."""
+        spans, runs = self.spans, []
+        for one in calls:
+            runs += [call for span, call in zip(self.problem.spans, one) if self._runs(span)]
+        ends = [None if self.share == 1.0 else self.seen(span).stop for span in spans]
+        made = self.problem.simulator.runs(runs, ends * len(calls))
+        return [made[k : k + len(spans)] for k in range(0, len(made), len(spans))]
 
     def runs(self, calls: list[Call]) -> Outputs | None:
         """Runs of this part; None where one fails or runs away."""
-        made = self.problem.simulator.runs(self.cut(calls))
+        (made,) = self.made(calls)
         if any(isinstance(y, Failure) or span.far(y) for span, y in zip(self.spans, made)):
             return None
         return tuple(made)
+
+    def near(self, y: Outputs) -> bool:
+        """Whether runs are near all that they are of the records."""
+        pairs = zip(self.spans, y)
+        return all(near_until(span.record[: len(one)], one) == len(one) for span, one in pairs)
 
     def seen(self, span: Span) -> slice:
         """The samples of a record in which it looks at runs."""
@@ -122,6 +152,8 @@ class _Window:
         """Runs beside the records."""
         parts = []
         for span, one in zip(self.spans, y):
+            if span.fit is None:
+                continue
             run = span.run(one, self.seen(span))
             # What leads to a first state is no motion of the simulator's own.
             kept = run.kept & (np.arange(len(run.e)) >= FIRST)[:, None]
@@ -134,9 +166,9 @@ class _Window:
         count = sum(part.kept.sum(axis=0) for part in parts)
         return float(np.sum(count * np.log(np.maximum(_mean_squares(parts), 1e-300))))
 
-    def followed(self, y: Outputs) -> bool:
-        """Whether runs leave no more than what no motion explains, its white part, about."""
-        excess = settings.STAND_IN_EXCESS**2
+    def followed(self, y: Outputs, times: float = 1.0) -> bool:
+        """Whether runs leave no more than what no motion explains, its white part, about; or so many times that."""
+        excess = (times * settings.STAND_IN_EXCESS) ** 2
         return all(np.all(part.rmse**2 <= excess * white_part(part.e, part.kept)) for part in self.parts(y))
 
 
@@ -157,15 +189,16 @@ class _Unknowns:
 
     def pushed(self, window: _Window, vector: Float[np.ndarray, " unknowns"]) -> "_Unknowns":
         """The same with forces, in units by which each moves runs of a part by `MOVED` of it."""
-        calls, units = window.cut(self.calls(vector)), []
-        runs = iter(zip(calls, self.problem.simulator.runs(calls)))
-        for span in self.problem.spans:
+        calls, units = self.calls(vector), []
+        (runs,) = window.made(calls)
+        runs = iter(runs)
+        for span, call in zip(self.problem.spans, calls):
             unit = np.zeros((FIRST if span.fit is not None else 0, span.record.outputs))
-            call, one = next(runs) if len(unit) else (None, None)
+            one = next(runs) if len(unit) else None
             for k in np.ndindex(unit.shape):
                 force, w = max(float(np.std(call.u)), 1e-300), call.w.copy()
                 w[k] += force
-                made = self.problem.simulator.tried(dataclasses.replace(call, w=w))
+                made = self.problem.simulator.tried(dataclasses.replace(call, w=w), window.seen(span).stop)
                 if made is not None and not isinstance(one, Failure):
                     moved = float(np.sqrt(np.mean((made - one) ** 2))) / max(float(np.std(one)), 1e-300)
                     unit[k] = force * MOVED / moved if moved > 0.0 else 0.0
@@ -224,27 +257,38 @@ class _Fit:
     def sloped(self, known: int = 0) -> "_Fit | None":
         """With slopes by differences of runs, those of the first unknowns as they are `known`; None where one fails."""
         moving = self.unknowns.moving(len(self.vector)) & (np.arange(len(self.vector)) >= known)
-        moved = [self.unknowns.calls(self.vector + CHANGE * unit) for unit in np.eye(len(self.vector))[moving]]
-        made = self.window.problem.simulator.runs([call for calls in moved for call in self.window.cut(calls)])
-        if any(isinstance(one, Failure) for one in made):
+        change = np.where(np.arange(len(self.vector)) < self.unknowns.count, *CHANGE)
+        moved = [self.unknowns.calls(self.vector + step) for step in np.diag(change)[moving]]
+        made = self.window.made(*moved)
+        if any(isinstance(one, Failure) for runs in made for one in runs):
             return None
         slopes = tuple(np.zeros((*y.shape, len(self.vector))) for y in self.y)
         for k, (y, S) in enumerate(zip(self.y, slopes)):
             if known:
                 S[:, :, :known] = self.slopes[k][:, :, :known]
-            S[:, :, moving] = np.stack([(one - y) / CHANGE for one in made[k :: len(self.y)]], axis=2)
+            S[:, :, moving] = np.stack([runs[k] - y for runs in made], axis=2) / change[moving]
         return dataclasses.replace(self, slopes=slopes, fresh=True)
+
+    def rows(self, values: tuple[np.ndarray, ...]) -> Float[np.ndarray, "rows *columns"]:
+        """What is given along the runs, as rows of the fit, every output in units of what is left of it."""
+        parts, stacked = self.window.parts(self.y), []
+        weight = 1 / np.sqrt(np.maximum(_mean_squares(parts), 1e-300))
+        spans = [(span, X) for span, X in zip(self.window.spans, values) if span.fit is not None]
+        for (span, X), part in zip(spans, parts):
+            X = X[self.window.seen(span)]
+            stacked.append((X * weight.reshape(-1, *(1,) * (X.ndim - 2)))[part.kept])
+        return np.concatenate(stacked)
 
     def normal(self) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
         """The normal equations of a step, every output in units of what is left of it."""
-        parts = self.window.parts(self.y)
-        weight = 1 / np.sqrt(np.maximum(_mean_squares(parts), 1e-300))
-        size = len(self.vector)
-        H, g = np.zeros((size, size)), np.zeros(size)
-        for span, part, S in zip(self.window.spans, parts, self.slopes):
-            J = (S[self.window.seen(span)] * weight[:, None])[part.kept]
-            H, g = H + J.T @ J, g + J.T @ (part.e * weight)[part.kept]
-        return H, g
+        J, e = self.rows(self.slopes), self.rows(self.errors)
+        return J.T @ J, J.T @ e
+
+    @property
+    def errors(self) -> Outputs:
+        """What runs leave, of every record that is run."""
+        pairs = zip(self.window.spans, self.y)
+        return tuple(np.nan_to_num(span.record.y[: len(one)] - one) for span, one in pairs)
 
     def down(self) -> "_Fit | None":
         """A step that leaves less, with slopes that learned from it; None where none does, or none is worth a run."""
@@ -260,24 +304,46 @@ class _Fit:
             step = step_inside(solver, damped, -g, self.vector, floors, (1,) * size, held)
             if step is None:
                 continue
-            ahead = np.maximum(self.vector + step, floors)
-            made = self.window.runs(self.unknowns.calls(ahead))
-            if made is not None and self.window.left(made) < self.left:
-                step = ahead - self.vector
-                along = scale * step / max(step @ (scale * step), 1e-300)
-                learned = zip(self.slopes, made, self.y)
-                slopes = tuple(S + (new - old - S @ step)[:, :, None] * along for S, new, old in learned)
-                return dataclasses.replace(self, vector=ahead, y=made, slopes=slopes, fresh=False)
+            ahead, made = self._ahead(step, scale)
+            if ahead is None and made is not None:
+                ahead, _ = self._ahead(self._bent(step, made, damped, scale), scale)
+            if ahead is not None:
+                return ahead
         return None
 
+    def _ahead(self, step: Float[np.ndarray, " unknowns"], scale: np.ndarray) -> tuple["_Fit | None", Outputs | None]:
+        """The fit after a step, None where that leaves no less; and the runs there."""
+        vector = np.maximum(self.vector + step, self.unknowns.floors(len(step)))
+        made = self.window.runs(self.unknowns.calls(vector))
+        if made is None or not self.window.left(made) < self.left:
+            return None, made
+        step = vector - self.vector
+        along, missed = scale * step / max(step @ (scale * step), 1e-300), self._missed(step, made)
+        slopes = tuple(S + one[:, :, None] * along for S, one in zip(self.slopes, missed))
+        bent = np.linalg.norm(self.rows(missed)) / max(np.linalg.norm(self.rows(self.slopes) @ step), 1e-300)
+        fresh = self.fresh and bent < STRAIGHT
+        return dataclasses.replace(self, vector=vector, y=made, slopes=slopes, fresh=fresh), made
+
+    def _missed(self, step: Float[np.ndarray, " unknowns"], made: Outputs) -> Outputs:
+        """By what runs after a step are not where slopes foretold."""
+        return tuple(new - old - S @ step for S, new, old in zip(self.slopes, made, self.y))
+
+    def _bent(self, step: Float[np.ndarray, " unknowns"], made: Outputs, damped, scale) -> np.ndarray:
+        """A part of a step that leaves most behind, along a way as bent as runs at its end say."""
+        e, J, bend = (self.rows(x) for x in (self.errors, self.slopes, self._missed(step, made)))
+        aside = np.linalg.solve(damped, J.T @ bend)
+        length, bent = (np.sqrt(x @ (scale * x)) for x in (step, aside))
+        ways = WAYS[WAYS * bent <= ACCELERATION * length]
+        ways = ways if len(ways) else WAYS[-1:]
+        along, beside = J @ step, bend - J @ aside
+        left = [np.sum((e - t * along - t**2 * beside) ** 2) for t in ways]
+        t = ways[int(np.argmin(left))]
+        return t * step - t**2 * aside
+
     def begins_elsewhere(self, first: _Window) -> bool:
-        """Whether records begin in another state than the simulator does, where numbers alone do not follow them, or
-        leave what forces over the `first` samples take."""
-        if len(self.vector) > self.unknowns.count:
-            return False
-        if not self.window.followed(self.y):
-            return True
-        if not self.fresh:
+        """Whether records begin in another state than the simulator does: numbers alone leave what forces over the
+        `first` samples take."""
+        if len(self.vector) > self.unknowns.count or not self.fresh:
             return False
         unknowns = self.unknowns.pushed(first, self.vector)
         size = len(self.vector) + sum(unit.size for unit in unknowns.units)
@@ -287,18 +353,18 @@ class _Fit:
             return False
         (H, g), count = more.normal(), len(self.vector)
         fall = foretold(H, g) - foretold(H[:count, :count], g[:count])
-        samples = sum(self.window.samples(span) for span in self.window.spans)
+        samples = len(self.rows(self.errors))
         return fall >= (size - count) * np.log(samples) + settings.MIN_DELTA_BIC
 
     def best(self, exact: bool) -> "_Fit | None":
         """Where no step leaves less, by fresh slopes there; or, if that need not be `exact`, where runs follow the
         records. None where a run fails, or steps do not come to an end."""
-        now = self
-        for _ in range(TURNS):
+        now, taken = self, 0
+        for _ in range(STEPS):
             if not exact and now.window.followed(now.y):
-                break
+                return now
             if not now.slopes:
-                now = now.sloped()
+                now, taken = now.sloped() if taken < SLOPES else None, taken + 1
                 if now is None:
                     return None
             ahead = now.down()
@@ -311,15 +377,34 @@ class _Fit:
                 now = dataclasses.replace(now, slopes=())
         return None if exact else now
 
+    def promises(self) -> bool:
+        """Whether slopes foretell runs that follow the records, about."""
+        H, g = self.normal()
+        step = pseudo_inverse(H, NOTHING) @ g
+        foreseen = tuple(y + S @ step for y, S in zip(self.y, self.slopes))
+        return self.window.followed(foreseen, PROMISE)
+
 
 def foretold(H: Float[np.ndarray, "unknowns unknowns"], g: Float[np.ndarray, " unknowns"]) -> float:
     """By how much less a step leaves, to second order."""
     return float(g @ pseudo_inverse(H, NOTHING) @ g)
 
 
-def grown(problem: Problem, entries: Float[np.ndarray, " numbers"]) -> Grown | None:
-    """Numbers, from some entries on, that alone explain the data of the fit but for noise; None where none do."""
-    return _grown(problem, entries, np.ones(len(entries), bool), (), SHARES)
+def grown(problem: Problem, entries: Float[np.ndarray, " numbers"]) -> Grown | Ended:
+    """Numbers, from some entries on, that alone explain the data of the fit but for noise; or how far numbers alone
+    follow them.
+
+    Parts end to grow where runs are near the whole records: what else there is to know a linear plant about them tells.
+    """
+    return _grown(problem, entries, np.ones(len(entries), bool), (), BEGIN)
+
+
+def bettered(problem: Problem, entries: Float[np.ndarray, " numbers"], runs: Runs) -> Grown | None:
+    """Numbers that follow all data of the fit but for noise, from some with which `runs` are near; None where slopes
+    there foretell that none do."""
+    unknowns = _Unknowns.alone(problem, np.ones(len(entries), bool))
+    fit = _Fit(_Window(problem, 1.0), unknowns, np.array(entries, float), runs.y).sloped()
+    return _finished(problem, fit.best(exact=True)) if fit is not None and fit.promises() else None
 
 
 def sharpened(
@@ -329,36 +414,52 @@ def sharpened(
     pushed: tuple[Float[np.ndarray, "samples dofs"], ...],
 ) -> Grown | None:
     """The same from where runs follow all data of the fit already, for some of the numbers."""
-    return _grown(problem, entries, free, pushed, SHARES[-1:])
+    made = _grown(problem, entries, free, pushed, 1.0)
+    return made if isinstance(made, Grown) else None
 
 
-def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], shares: tuple[float, ...]) -> Grown | None:
-    first, unknowns = _Window(problem, SHARES[0]), _Unknowns.alone(problem, free)
-    vector = np.array(entries, float)
+def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], share: float) -> Grown | Ended:
+    first, unknowns = _Window(problem, BEGIN), _Unknowns.alone(problem, free)
+    vector, followed = np.array(entries, float), 0.0
     if any(np.any(w) for w in pushed):
         unknowns = unknowns.pushed(first, vector)
         vector = unknowns.start(entries, pushed)
-    for share in shares:
+
+    while followed < 1.0:
         window = _Window(problem, share)
-        if (y := window.runs(unknowns.calls(vector))) is None:
-            return None
-        fit = _Fit(window, unknowns, vector, y).best(exact=share == shares[-1])
+        y = window.runs(unknowns.calls(vector))
+        if followed > 0.0:
+            near = y is not None and window.near(y)
+            if near and share == 1.0 and len(vector) == unknowns.count:
+                return Ended(vector, Runs(tuple(unknowns.calls(vector)), y))
+            if not near and share > LITTLE * followed:
+                share = np.sqrt(share * followed)
+                continue
+        if y is None:
+            break
+        fit = _Fit(window, unknowns, vector, y).best(exact=share == 1.0)
         if fit is not None and fit.begins_elsewhere(first):
             unknowns = unknowns.pushed(first, fit.vector)
             vector = np.concatenate([fit.vector, np.zeros(sum(unit.size for unit in unknowns.units))])
-            fit = _Fit(window, unknowns, vector, fit.y).best(exact=share == shares[-1])
+            fit = _Fit(window, unknowns, vector, fit.y).best(exact=share == 1.0)
         if fit is None or not window.followed(fit.y):
-            return None
-        vector = fit.vector
-    if not fit.fresh and (fit := fit.sloped()) is None:
+            break
+        vector, followed, share = fit.vector, share, min(LONGER * share, 1.0)
+    return (_finished(problem, fit) if followed == 1.0 else None) or Ended(vector[: unknowns.count])
+
+
+def _finished(problem: Problem, fit: _Fit | None) -> Grown | None:
+    """A fit of all data, None where it does not follow them or slopes fail."""
+    if fit is None or not fit.window.followed(fit.y):
         return None
-    calls, count = unknowns.calls(vector), unknowns.count
-    runs = problem.tried(calls)
-    if runs is None:
+    fit = fit if fit.fresh else fit.sloped()
+    if fit is None:
         return None
+    count, calls = fit.unknowns.count, fit.unknowns.calls(fit.vector)
     # A first state is none of the forces that the simulator was given.
-    runs = dataclasses.replace(runs, calls=tuple(problem.called(vector[:count])))
-    return Grown(vector[:count], runs, tuple(call.w for call in calls), tuple(S[:, :, :count] for S in fit.slopes))
+    runs = Runs(tuple(problem.called(fit.vector[:count])), fit.y)
+    slopes = tuple(S[:, :, :count] for S in fit.slopes)
+    return Grown(fit.vector[:count], runs, tuple(call.w for call in calls), slopes)
 
 
 def _mean_squares(parts: list[FreeRun]) -> Float[np.ndarray, " outputs"]:

@@ -26,6 +26,9 @@ from .growing_parts import sharpened
 from .runs.problem import Outputs, Problem, parts_of
 from .settling import Settled, left_by, shown_by
 
+APART = 0.2
+"""Least share of what a number does that nothing else does, for slopes, right to a tenth, to tell them apart."""
+
 CORRECTIONS = 2
 """Gauss-Newton steps in which the rest of a fit comes to where it is best beside numbers as they were given."""
 
@@ -57,11 +60,13 @@ class Necessary:
 
 
 class _Ellipsoid:
-    """The sum of squares about a fit, to second order, with some entries as they were given."""
+    """The sum of squares about a fit, to second order, with some entries as they were given. Along what the record does
+    not determine it is flat: of numbers whose sum alone is known one stands for another."""
 
     def __init__(self, settled: Settled, start: Float[np.ndarray, " numbers"], samples: int):
         self.layout = Layout(settled.linear.setup, settled.candidate)
         self.theta, self.covariance = self.layout.vector(settled.candidate), settled.fit.covariance
+        self.information = pseudo_inverse(self.covariance)
         self.start, self.off, self.count = start, self.theta[: len(start)] - start, len(start)
         self.samples, self.penalty = samples, float(np.log(samples))
         self.known = (np.diag(self.covariance)[: self.count] > 0) & ~settled.fit.undetermined[: self.count]
@@ -72,17 +77,16 @@ class _Ellipsoid:
         theta, covariance = self.conditional(free)
         if np.any(theta[: self.count] < -np.sqrt(np.maximum(np.diag(covariance)[: self.count], 0.0))):
             return np.inf
-        at = self._given(free)
-        return float(self.off[at] @ pseudo_inverse(self.covariance[np.ix_(at, at)]) @ self.off[at])
+        return float((theta - self.theta) @ self.information @ (theta - self.theta))
 
     def conditional(self, free: Bool[np.ndarray, " numbers"]) -> tuple[np.ndarray, np.ndarray]:
         """All parameters, and their covariance, where only some numbers are free."""
-        at = self._given(free)
-        across = self.covariance[:, at] @ pseudo_inverse(self.covariance[np.ix_(at, at)])
-        theta = self.theta - across @ self.off[at]
+        at, theta, covariance = self._given(free), self.theta.copy(), np.zeros_like(self.covariance)
+        moving = np.setdiff1d(np.flatnonzero(np.diag(self.covariance) > 0.0), at)
+        within = np.ix_(moving, moving)
+        covariance[within] = pseudo_inverse(self.information[within])
         theta[at] = self.start[at]
-        covariance = self.covariance - across @ self.covariance[at]
-        covariance[at] = covariance[:, at] = 0.0
+        theta[moving] += covariance[within] @ self.information[np.ix_(moving, at)] @ self.off[at]
         return theta, covariance
 
     def free_only(self) -> Bool[np.ndarray, " numbers"]:
@@ -98,6 +102,12 @@ class _Ellipsoid:
             swapped = [free, *(other for _, other in self.swapped(free, k))]
             free = min(swapped, key=self.cost)
         return free
+
+    def apart(self, free: Bool[np.ndarray, " numbers"], k: int) -> float:
+        """The share of what a free number does to the runs that nothing else that is free does."""
+        _, covariance = self.conditional(free)
+        both = self.information[k, k] * covariance[k, k]
+        return float(1 / np.sqrt(both)) if both > 0.0 else 0.0
 
     def moved(self, free: Bool[np.ndarray, " numbers"], k: int) -> Moved:
         """A number of those that are free."""
@@ -205,18 +215,20 @@ class _Fewer:
         return shown, free, gains, {k: self._rivals(shown, free, k) for k in np.flatnonzero(free)}
 
     def _doubtful(self, free: Bool[np.ndarray, " numbers"]) -> list[int]:
-        """Numbers of which the simulator is asked whether they have to be other, those with least evidence first: all
-        where slopes are those of runs that hang sharply on the numbers."""
+        """Numbers of which the simulator is asked whether they have to be other, those with least evidence first: of
+        which slopes say little beside the others, or all where these are of runs that hang sharply on the numbers."""
         evidence = {int(k): self.about.moved(free, k).evidence for k in np.flatnonzero(free)}
         most = np.inf if self.settled.pushed else settings.CLEAR_DELTA_BIC
-        return sorted((k for k in evidence if evidence[k] < most), key=evidence.__getitem__)
+        asked = (k for k in evidence if evidence[k] < most or self.about.apart(free, k) < APART)
+        return sorted(asked, key=evidence.__getitem__)
 
     def _rivals(self, shown: Settled, free: Bool[np.ndarray, " numbers"], k: int) -> tuple[Moved, ...]:
         """Numbers that serve in the place of one in the simulator itself, the best first. Of two that do the same the
         slopes differ by their rounding alone, in which there is no information."""
         near = {}
         for j, other in self.about.swapped(free, k):
-            if self.about.cost(other) - self.about.cost(free) < settings.CLEAR_DELTA_BIC:
+            worse, both = self.about.cost(other) - self.about.cost(free), free | other
+            if worse < settings.CLEAR_DELTA_BIC or self.about.apart(both, k) < APART:
                 there = self._with(other)
                 behind = np.inf if there is None else self._left(there, shown)
                 if behind < settings.CLASS_DELTA_BIC:

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...numerics.outcomes import RESULTS, ComputationError
+from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit, refit
 from ..model.candidate import Candidate, Data
-from ..model.free_run import rms_of
+from ..model.free_run import FreeRun, rms_of
 from ..model.parameter_vector import Layout
-from ..noise.whitening import white_noise_model
+from ..noise.whitening import white_noise_model, white_part
 from ..screening.linearization import sampled_plant
 from .runs.numbers import NumbersSimulator
 from .runs.problem import Linear, Problem, Runs, parts_of
@@ -23,8 +24,9 @@ SETTLING, PATIENCE, FLAT = 24, 4, 2
 """Runs at most until laws and numbers stand still in the simulator; runs in a row that come no nearer to the records
 than one before, after which none does; and such runs that are as near, after which they stand still."""
 
-NEARER = 0.02
-"""Share of what is left by which a run must come nearer."""
+NEARER, HALF = 0.02, np.log(0.5)
+"""Share of what is left by which a run must come nearer; and logarithm of the part of it that the next run must be
+foretold to leave at most, for numbers that do not explain all to be moved on."""
 
 CLOSED = 3
 """Runs that bring the forces of given laws along the simulator's own motion."""
@@ -70,7 +72,8 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     **Raises:** `ComputationError` where the simulator does not run with what was found.
     """
     linear, noise_model, candidate = context.simulator, noise_model_of(context, fit), fit.candidate
-    best, first, nearest, mark, before, since, steps, ends = None, (True, np.inf), np.inf, np.inf, np.inf, 0, [], []
+    best, first, nearest, mark, before, since = None, (True, np.inf), np.inf, np.inf, np.inf, 0
+    steps, ends, foretold = [], [], []
     for turn in range(SETTLING):
         context.progress.unlimited.stage(f"settling in the simulator ({turn + 1})")
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
@@ -112,9 +115,13 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         if (not closed, left) < first:
             best, first = Settled(again.candidate, again, linear, wholes, tuple(data), y, still), (not closed, left)
         best, nearest = dataclasses.replace(best, still=still), min(left, nearest)
-        # Each turn brings less than the one before.
-        hopeless, before = 2 * left - before > beyond, left
-        if still or since == PATIENCE or hopeless:
+        # Each turn brings less than the one before, and not more than the linear plant about this run says.
+        there = foreseen_by(again, data)
+        foretold.append(float(np.sum(np.log(rms_of(there) ** 2))))
+        hopeless, before = max(2 * left - before, foretold[-1]) > beyond, left
+        # What numbers alone do not explain in the linear plant is for a law to explain.
+        lacking = not candidate.terms and turn > 0 and foretold[-1] > foretold[-2] + HALF and not is_white(there)
+        if still or since == PATIENCE or hopeless or lacking:
             break
         ahead = layout.moved(end, layout.limited(_further(steps[-2:], size), end), again.candidate)
         # Numbers keep their sign.
@@ -127,6 +134,16 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     return dataclasses.replace(
         best, fit=_widened(best.fit, layout, [end for left, end in ends if left < nearest + NEARER])
     )
+
+
+def is_white(runs: list[FreeRun]) -> bool:
+    """Whether runs leave about as much as the white part of it."""
+    return all(np.all(run.rmse**2 <= settings.MIN_EXCESS**2 * white_part(run.e, run.kept)) for run in runs)
+
+
+def foreseen_by(fit: Refit, data: tuple[Data, ...] | list[Data]) -> list[FreeRun]:
+    """Runs as a refit in the linear plant foresees them."""
+    return [FreeRun(e, e, np.asarray(one.kept)) for e, one in zip(fit.residual, data)]
 
 
 def _widened(fit: Refit, layout: Layout, ends: list[np.ndarray]) -> Refit:

@@ -14,7 +14,7 @@ from ...findings import Estimate, Finding, Gain, Member, ParameterShift
 from ...model.free_run import overall, rms_of
 from ...result import Diagnosis
 from ...selection import Runs
-from ..conclusions import is_white
+from ..settling import is_white
 from .equation import BalanceEquation
 from .search import BalanceSearch
 

@@ -29,6 +29,10 @@ class Call:
     w: Float[np.ndarray, "samples outputs"]
     numbers: Float[np.ndarray, " numbers"]
 
+    def until(self, end: int) -> "Call":
+        """The same for the first samples alone."""
+        return Call(self.u[:end], self.w[:end], self.numbers)
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -42,7 +46,8 @@ class Simulator:
     """A simulator with the names of its numbers.
 
     `function`; `names`; `outputs`: how many it must give; `workers`: processes that run it, 1 for this one alone;
-    `count`: calls so far, and `samples` that they simulated. As a context it ends its processes.
+    `count`: calls so far, and `samples` that they simulated; whether it `stops` early: of the first inputs alone it
+    makes the same first outputs. As a context it ends its processes.
     """
 
     function: Simulation
@@ -51,6 +56,7 @@ class Simulator:
     workers: int = 1
     count: int = 0
     samples: int = 0
+    stops: bool = True
     _pool: concurrent.futures.ProcessPoolExecutor | None = field(default=None, repr=False)
 
     def __enter__(self):
@@ -61,12 +67,12 @@ class Simulator:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
 
-    def run(self, call: Call) -> Float[np.ndarray, "samples outputs"]:
-        """The outputs of one call.
+    def run(self, call: Call, end: int | None = None) -> Float[np.ndarray, "samples outputs"]:
+        """The outputs of one call, as `runs` gives them.
 
         **Raises:** `ComputationError` where it fails; its message says where the inputs are.
         """
-        return self.finished(call, self.runs([call])[0])
+        return self.finished(call, self.runs([call], [end])[0])
 
     def finished(self, call: Call, made: np.ndarray | Failure) -> Float[np.ndarray, "samples outputs"]:
         """What a call came to.
@@ -78,13 +84,18 @@ class Simulator:
             raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
         return made
 
-    def tried(self, call: Call) -> Float[np.ndarray, "samples outputs"] | None:
-        """The outputs of one call, None where it fails."""
-        made = self.runs([call])[0]
+    def tried(self, call: Call, end: int | None = None) -> Float[np.ndarray, "samples outputs"] | None:
+        """The outputs of one call, as `runs` gives them, None where it fails."""
+        made = self.runs([call], [end])[0]
         return None if isinstance(made, Failure) else made
 
-    def runs(self, calls: list[Call]) -> list[np.ndarray | Failure]:
-        """The outputs of several calls, or why there are none, in their order."""
+    def runs(self, calls: list[Call], ends: list[int | None] | None = None) -> list[np.ndarray | Failure]:
+        """The outputs of several calls, or why there are none, in their order; up to `ends`, where nothing else is
+        asked for."""
+        if ends is not None and not self.stops:
+            return [made if isinstance(made, Failure) else made[:end] for made, end in zip(self.runs(calls), ends)]
+        if ends is not None:
+            calls = [call.until(len(call.u) if end is None else end) for call, end in zip(calls, ends)]
         self.count += len(calls)
         self.samples += sum(len(call.u) for call in calls)
         parts = [(self.function, call, self.names, self.outputs) for call in calls]

@@ -342,6 +342,7 @@ def linearized(
     """
     # Fewer would not determine it.
     dofs, h, y = record.outputs, record.sampling_time, y[: None if end is None else max(end, ROWS * PIECES)]
+    call = call.until(len(y)) if simulator.stops else call
     # Of a simulator at rest, answers are small relative to the motion of the record.
     moved, measured = np.std(y, axis=0), np.nanstd(record.y, axis=0)
     moved = moved if np.any(moved > AT_REST * measured) else measured

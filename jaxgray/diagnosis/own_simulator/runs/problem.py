@@ -24,6 +24,7 @@ from .tracking import (
     as_linear,
     forces_beside,
     forces_by_number,
+    forces_by_slopes,
     near_until,
     relative_error,
     relative_size,
@@ -140,13 +141,17 @@ class Problem:
         size = max(float(np.max(np.abs(span.record.u @ self.plant.input_map.T))) for span in self.spans)
         return np.all([np.all(np.abs(S) <= IDLE * size, axis=(0, 1)) for S in forces], axis=0)
 
-    def with_forces(self, runs: Runs) -> Runs:
-        """Runs with the forces that the numbers take along their motion."""
+    def with_forces(self, runs: Runs, slopes: tuple[np.ndarray, ...] | None = None) -> Runs:
+        """Runs with the forces that the numbers take along their motion, by slopes of these runs where they are
+        known."""
         known = {"simulator": self.simulator, "plant": self.plant, "units": self.units}
-        forces = [
-            forces_by_number(record=span.record, call=call, y=y, **known)
-            for span, call, y in zip(self.spans, runs.calls, runs.y)
-        ]
+        if slopes is None:
+            forces = [
+                forces_by_number(record=span.record, call=call, y=y, **known)
+                for span, call, y in zip(self.spans, runs.calls, runs.y)
+            ]
+        else:
+            forces = [forces_by_slopes(self.plant, span.record, y, S) for span, y, S in zip(self.spans, runs.y, slopes)]
         return dataclasses.replace(runs, by_number=tuple(forces), along=self.follow(runs.y))
 
     def led(self, runs: Runs) -> Runs:

@@ -12,6 +12,8 @@ from jaxtyping import Float
 
 from ....numerics.matrices.bounded import bounded
 from ....records import Record
+from ... import settings
+from ...model.free_run import FreeRun
 from ...noise.whitening import white_part
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized
@@ -40,8 +42,9 @@ SMALL = 0.1
 BEYOND = 5.0
 """Standard deviations of the noise, beside its share of the motion, within which a run is near a record."""
 
-IN_A_ROW, FEWEST = 5, 50
-"""Samples that a run is far from a record to have left it; and fewest of a record that say anything by themselves."""
+IN_A_ROW, FEWEST, AHEAD = 5, 50, (2.0, 1.25)
+"""Samples that a run is far from a record to have left it; fewest of a record that say anything by themselves; and how
+many times further than it was led a run goes on, where the one before stayed near all the way and where it did not."""
 
 ENOUGH = 0.95
 """Share of the error that a round must leave at most, for another one."""
@@ -119,28 +122,52 @@ def tracked(
 
     **Arguments:** `simulator`; `plant`; `record`; `call` to begin with and its outputs `y`.
     """
-    call, y = _led(simulator, plant, record, call, y)
-    if near_until(record, y) < len(y):
-        call, y = _led(simulator, plant, record, *approached(simulator, plant, record, call, y))
+    begun = _led(simulator, plant, record, call, y)
+    if near_until(record, begun[1]) == len(y):
+        return begun
+    call, y = approached(simulator, plant, record, *begun)
     end = near_until(record, y)
-    return (call, y) if end == len(y) else _led(simulator, plant, until(record, end), call, y)
+    call, y = _led(simulator, plant, record if end == len(y) else until(record, end), call, y)
+    if not bounded(y):
+        # It ran as far as it was led.
+        y = simulator.tried(call)
+    return begun if y is None else (call, y)
 
 
 def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y: np.ndarray):
-    """The call that brings the outputs nearest to all of a record, from one on; and those outputs."""
-    best, size = (call, y), relative_error(record, y)
+    """The call that brings the outputs nearest to what is known of a record, from one on; and those outputs, infinite
+    where it did not run."""
+    best, size, end = (call, y), relative_error(record, y), _known_until(record)
     for _ in range(ROUNDS):
         call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
-        y = simulator.tried(call) if bounded(call.w) else None
+        y = _tried(simulator, call, end)
         if y is None:
             break
         now = relative_error(record, y)
         before, size = size, min(now, size)
         if now < before:
             best = call, y
-        if now > ENOUGH * before:
+        if now > ENOUGH * before or _at_noise(record, y):
             break
     return best
+
+
+def _at_noise(record: Record, y: Float[np.ndarray, "samples dofs"]) -> bool:
+    """Whether a run leaves of a record about what no motion explains."""
+    kept = np.isfinite(record.y)
+    run = FreeRun(y, np.where(kept, record.y - y, 0.0), kept)
+    return bool(np.all(run.rmse**2 <= settings.MIN_EXCESS**2 * white_part(run.e, kept)))
+
+
+def _tried(simulator: Simulator, call: Call, end: int) -> Float[np.ndarray, "samples dofs"] | None:
+    """The outputs of a call up to a sample, infinite beyond; None where it fails."""
+    y = simulator.tried(call, end) if bounded(call.w) else None
+    return None if y is None else np.concatenate([y, np.full((len(call.u) - len(y), y.shape[1]), np.inf)])
+
+
+def _known_until(record: Record) -> int:
+    """The sample from which on nothing is known of the outputs of a record."""
+    return int(np.max(np.flatnonzero(np.isfinite(record.y).any(axis=1)), initial=1)) + 1
 
 
 def approached(
@@ -150,22 +177,25 @@ def approached(
     call: Call,
     y: Float[np.ndarray, "samples dofs"],
 ) -> tuple[Call, np.ndarray]:
-    """The call whose outputs are near a record for longest, and those outputs.
+    """The call whose outputs are near a record for longest, and those outputs, infinite where it did not run.
 
     A linear plant leads to what is near, so that a run is led to the record up to where it leaves it; what comes after
-    begins where the record is, and stays near it for longer.
+    begins where the record is, and stays near it for longer. It need not run much further than that.
 
     **Arguments:** as `tracked`.
     """
-    limit, end = NEAR, near_until(record, y)
+    limit, end, ahead = NEAR, near_until(record, y), AHEAD[0]
     for _ in range(APPROACHES):
         if end == len(y) or limit < NEAREST:
             break
         end = min(end, near_until(record, y, limit))
         force = following_force(plant, until(record, max(end, FEWEST)), call.w, y)
         trial = Call(call.u, force, call.numbers)
-        there = simulator.tried(trial) if bounded(force) else None
+        further = int(ahead * max(end, FEWEST))
+        further = further if further < len(y) - IN_A_ROW else len(y)
+        there = _tried(simulator, trial, further)
         reached = -1 if there is None else near_until(record, there, limit)
+        ahead = AHEAD[reached < further]
         if reached > end:
             call, y, end = trial, there, near_until(record, there, NEAR)
         else:
@@ -203,7 +233,7 @@ def following_force(
     **Reference:** Rauch, Tung & Striebel, AIAA J. 3 (1965) 1445-1450.
     """
     dofs, motion, whole = y.shape[1], _motion(record), w.copy()
-    last = int(np.max(np.flatnonzero(np.isfinite(record.y).any(axis=1)), initial=1)) + 1
+    last = _known_until(record)
     w, y, known = w[:last], y[:last], record.y[:last]
     e, kept = known - y, np.isfinite(known)
     A, B = plant.varying.sampled(y, record.sampling_time)
@@ -314,6 +344,17 @@ def forces_by_number(
             step /= 10
             there = simulator.run(stepped(unit, step))
         found.append(plant.forces_beside(y - there, y, record) / step)
+    return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
+
+
+def forces_by_slopes(
+    plant: Linearized,
+    record: Record,
+    y: Float[np.ndarray, "samples dofs"],
+    slopes: Float[np.ndarray, "samples dofs numbers"],
+) -> Float[np.ndarray, "samples dofs numbers"]:
+    """The same by slopes of the outputs `y` by the numbers, for each of their units."""
+    found = [plant.forces_beside(-one, y, record) for one in np.moveaxis(slopes, 2, 0)]
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
 
 

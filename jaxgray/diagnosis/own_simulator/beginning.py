@@ -1,0 +1,298 @@
+"""Where laws are looked for in a simulator: its linear plant about a run that is near the records, and its numbers.
+
+Of a run that is near, forces along the records say what the numbers are; of one that is far, first numbers alone over
+parts of the records that grow, then forces that lead it there.
+"""
+
+import contextlib
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...numerics.outcomes import ComputationError
+from ...numerics.progress import AbstractProgress, BudgetSpent
+from .. import settings
+from ..estimation.context import SearchContext
+from ..model.candidate import Candidate
+from ..model.simulator import steps_of
+from .growing_parts import Ended, Grown, bettered, grown
+from .runs.calls import Call
+from .runs.linearized import Linearized, linearized
+from .runs.numbers import NumbersSimulator
+from .runs.problem import Linear, Problem, Runs, parts_of
+from .runs.tracking import near_until
+from .settling import Settled, foreseen_by, is_white, left_by, refit_of_numbers, settle
+
+MAX_RELINEARIZATIONS, MAX_LEADS = 8, 2
+"""Times that a simulator is linearized about a led run to lead it further; and times that it is led anew with other
+numbers."""
+
+REST = 4
+"""Part of a run that is looked at for how a simulator answers at rest, one in so many."""
+
+GROWING = "fitting the simulator's numbers over parts that grow"
+"""What is said while the simulator's own runs fit them."""
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Where laws are looked for: the `plant` about a run, which numbers are `idle` there, the `linear` simulator and
+    records for it (`wholes`), numbers alone in the simulator (`fitted`; None where it does not run with them), whether
+    its own runs found them (`by_runs`), runs that forces lead along the records (`followed`), and the `candidate` to
+    begin with, None for the numbers as they were given."""
+
+    plant: Linearized
+    idle: np.ndarray
+    linear: NumbersSimulator
+    wholes: Linear
+    fitted: Settled | None
+    by_runs: bool
+    followed: Runs
+    candidate: Candidate | None = None
+
+
+@dataclass(frozen=True)
+class Beginner:
+    """What finds it: the `problem`; `context_of`: the context of a search by a linear simulator and its records; `rng`;
+    `progress`."""
+
+    problem: Problem
+    context_of: Callable[[NumbersSimulator, Linear], SearchContext]
+    rng: np.random.Generator
+    progress: AbstractProgress
+
+    def begin(self, baseline: Runs, start: np.ndarray, balanced: Callable) -> Beginning | None:
+        """Where laws are looked for, from runs with the numbers as they were given, as entries `start`; None where
+        `balanced`, asked where no run follows the records, says that the balance of forces explains them.
+
+        **Raises:** `ComputationError` where the simulator fails with the numbers as they were given.
+        """
+        problem = self.problem
+        found = failure = None
+        runs = baseline
+        if problem.away:
+            # Forces that lead a run to a record from far away need many more runs than numbers do.
+            self.progress.unlimited.stage(GROWING)
+            parts = grown(problem, start)
+            again = self._by_own_runs(parts)
+            if again is not None:
+                # Of a motion that is not stable numbers follow whatever the fit sees, exact to many more digits than
+                # they are known.
+                return again if problem.follow(again.followed.y) or not balanced() else None
+            further = parts.runs or problem.tried(problem.called(parts.entries))
+            if further is not None and problem.followed_until(further) > problem.followed_until(runs):
+                runs, start = further, parts.entries
+        try:
+            followed = self._followed(runs)
+            if not problem.follow(followed.y) and balanced():
+                return None
+            followed = problem.with_forces(followed)
+            if not followed.along:
+                found, runs, start = self._anew_by_numbers(followed, runs, start)
+            found = found or self._begun(followed, start)
+        except ComputationError as error:
+            failure = error
+        if found is not None and runs is not baseline:
+            states = found.wholes.states[: sum(span.fit is not None for span in problem.spans)]
+            found = dataclasses.replace(found, candidate=Candidate(start, states))
+        if found is None or not _settled(problem, found.fitted):
+            again = None if problem.away else self._by_own_runs(grown(problem, start))
+            if again is not None:
+                return again
+            if found is None:
+                raise failure
+            problem.plant, problem.idle = found.plant, found.idle
+        found, runs = self._led_further(found, runs)
+        found = self._moved_on(found, runs)
+        problem.plant, problem.idle = found.plant, found.idle
+        return found
+
+    def better(self, found: Beginning) -> Beginning | None:
+        """The same where the simulator's own runs find other numbers, as those that explain it all in the linear plant
+        do not in the simulator; None where they do, or its runs find none."""
+        problem, numbers = self.problem, found.fitted
+        if numbers is None or found.by_runs or _settled(problem, numbers, still=False):
+            return None
+        again, entries = None, numbers.candidate.entries
+        with contextlib.suppress(BudgetSpent):
+            self.progress.stage(GROWING)
+            runs = problem.tried(problem.called(entries))
+            near = runs is not None and problem.follow(runs.y)
+            again = self._by_own_runs(bettered(problem, entries, runs)) if near else None
+        if again is None or left_by(problem, again.fitted.y) > left_by(problem, numbers.y):
+            problem.plant, problem.idle = found.plant, found.idle
+            return None
+        return again
+
+    def _led_further(self, found: Beginning, runs: Runs) -> tuple[Beginning, Runs]:
+        """From far away numbers come nearer at a time: led with these a simulator answers more as it does along the
+        record."""
+        problem = self.problem
+        for _ in range(MAX_LEADS):
+            fitted = found.fitted
+            if fitted is None or problem.follow(runs.y) or problem.follow(fitted.y):
+                break
+            further = problem.tried(problem.called(fitted.candidate.entries))
+            if further is None or problem.followed_until(further) <= problem.followed_until(runs):
+                break
+            try:
+                again = self._begun(problem.with_forces(self._followed(further)), fitted.candidate.entries)
+            except ComputationError:
+                break
+            if again.fitted is None:
+                break
+            found, runs = dataclasses.replace(again, candidate=fitted.candidate), further
+        return found, runs
+
+    def _moved_on(self, found: Beginning, runs: Runs) -> Beginning:
+        """With the plant about the numbers, where these have led the simulator to where it may answer otherwise: from
+        far away, or much nearer without standing still."""
+        problem, fitted, led = self.problem, found.fitted, found.followed
+        if fitted is None or not problem.follow(fitted.y):
+            return found
+        if problem.follow(runs.y):
+            nearer = left_by(problem, fitted.y) - left_by(problem, runs.y)
+            moved = not fitted.still and nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
+        else:
+            moved = True
+        there = problem.tried(problem.called(fitted.candidate.entries)) if moved else None
+        if there is None or not problem.follow(there.y):
+            return found
+        known = led.by_number if led.along and problem.follow(runs.y) else None
+        again = self._anew(there, fitted.candidate.entries, by_number=known)
+        if again is None or left_by(problem, again.fitted.y) > left_by(problem, fitted.y):
+            return found
+        return dataclasses.replace(again, followed=led, candidate=fitted.candidate)
+
+    def _begun(self, about: Runs, entries: np.ndarray, by_runs: Grown | None = None) -> Beginning:
+        """That about some runs, with the forces that numbers take there."""
+        self.progress.unlimited.stage("fitting the simulator's numbers")
+        linear, wholes, context, candidate = self._asked(about, entries)
+        fitted = _numbers_alone(self.problem, context, candidate, wholes, by_runs)
+        return Beginning(self.problem.plant, self.problem.idle, linear, wholes, fitted, by_runs is not None, about)
+
+    def _asked(self, about: Runs, entries: np.ndarray) -> tuple[NumbersSimulator, Linear, SearchContext, Candidate]:
+        """The linear simulator about some runs, records for it, the context of a search there, and the candidate with
+        these entries."""
+        problem = self.problem
+        problem.idle = problem.idle_by(about.by_number)
+        linear = problem.linear_simulator(entries, steps_of(problem.linear_model(), problem.record.sampling_time))
+        wholes = problem.linear_data(linear, about).near(about.y)
+        context = self.context_of(linear, wholes)
+        return linear, wholes, context, Candidate(entries, wholes.states[: len(context.data)])
+
+    def _anew(
+        self,
+        runs: Runs,
+        entries: np.ndarray,
+        *,
+        by_runs: Grown | None = None,
+        by_number: tuple[np.ndarray, ...] | None = None,
+    ) -> Beginning | None:
+        """That with the plant as it is about these runs, and what the numbers take there, or along the records, where
+        that is known (`by_number`); None where that cannot be."""
+        problem = self.problem
+        with contextlib.suppress(ComputationError):
+            with contextlib.suppress(ComputationError):
+                problem.plant = linearized(problem.simulator, problem.record, runs.calls[0], runs.y[0], self.rng)
+            if problem.plant is None:
+                return None
+            if by_number is None:
+                runs = problem.with_forces(runs, None if by_runs is None else by_runs.slopes)
+            else:
+                runs = dataclasses.replace(problem.led(runs), by_number=by_number, along=True)
+            again = self._begun(runs, entries, by_runs)
+            return again if again.fitted is not None else None
+        return None
+
+    def _by_own_runs(self, made: Grown | Ended | None) -> Beginning | None:
+        """That with numbers that the simulator's own runs found; None where they found none that alone explain the
+        data."""
+        if not isinstance(made, Grown):
+            return None
+        found = self._anew(made.runs, made.entries, by_runs=made)
+        # Runs with them are near as they are.
+        return found and dataclasses.replace(found, followed=made.runs, candidate=found.fitted.candidate)
+
+    def _anew_by_numbers(self, led: Runs, runs: Runs, entries: np.ndarray) -> tuple[Beginning | None, Runs, np.ndarray]:
+        """As `_anew`, with the runs and numbers it is about, where the numbers that led runs ask for bring the
+        simulator near the records; None with `runs` and `entries` as they are, where they do not."""
+        problem, plant = self.problem, self.problem.plant
+        with contextlib.suppress(ComputationError):
+            _, _, context, candidate = self._asked(led, entries)
+            asked = refit_of_numbers(context, candidate).candidate.entries
+            there = problem.tried(problem.called(asked))
+            if there is not None and problem.follow(there.y):
+                again = self._anew(there, asked)
+                if again is not None:
+                    return dataclasses.replace(again, followed=led), there, asked
+        problem.plant = plant
+        return None, runs, entries
+
+    def _followed(self, baseline: Runs) -> Runs:
+        """Runs that forces lead along the records, and the linear plant about the first of them.
+
+        **Raises:** `ComputationError` where the simulator does not answer to forces as a mechanical system does.
+        """
+        problem, simulator, first = self.problem, self.problem.simulator, self.problem.record
+
+        def led(about: Runs, begin: Runs, end: int | None = None) -> tuple[Runs, Linearized]:
+            self.progress.unlimited.stage("linearizing the simulator")
+            problem.plant = linearized(simulator, first, about.calls[0], about.y[0], self.rng, end)
+            self.progress.unlimited.stage("looking for the force that it lacks")
+            return problem.led(begin), problem.plant
+
+        if problem.follow(baseline.y):
+            return led(baseline, baseline)[0]
+        # Far from the record it may answer otherwise than there, and to small forces by large motions; at rest it does
+        # not.
+        none = problem.tried([Call(0.0 * call.u, call.w, call.numbers) for call in baseline.calls])
+        ends, failure = [], None
+        for about, end in ((baseline, None), (none, len(first.y) // REST)):
+            try:
+                ends += [] if about is None else [led(about, baseline, end)]
+            except ComputationError as error:
+                failure = failure or error
+        if not ends:
+            raise failure
+        followed, plant = max(ends, key=lambda end: problem.followed_until(end[0]))
+        for _ in range(MAX_RELINEARIZATIONS):
+            # As it answers up to where it was led, it is led further.
+            before = problem.followed_until(followed)
+            try:
+                further, about_it = led(followed, followed, near_until(first, followed.y[0]))
+            except ComputationError:
+                break
+            if problem.followed_until(further) <= before:
+                if problem.follow(followed.y):
+                    plant = about_it
+                break
+            followed, plant = further, about_it
+        problem.plant = plant
+        return followed
+
+
+def _settled(problem: Problem, fitted: Settled | None, still: bool = True) -> bool:
+    """Whether numbers alone stand still, if that is enough; or leave nothing but noise, or something that no numbers
+    explain in the linear plant itself."""
+    if fitted is None:
+        return False
+    lacking = not is_white(foreseen_by(fitted.fit, fitted.data))
+    return (still and fitted.still) or lacking or is_white(parts_of(problem, fitted.y)[0])
+
+
+def _numbers_alone(
+    problem: Problem, context: SearchContext, begin: Candidate, wholes: Linear, by_runs: Grown | None
+) -> Settled | None:
+    """The numbers without any law, those that runs found or the settled ones; None where the simulator does not run
+    with them."""
+    try:
+        fit = refit_of_numbers(context, begin)
+        if by_runs is None:
+            return settle(problem, context, fit, wholes)
+        fit = dataclasses.replace(by_runs.fit(problem, fit), candidate=begin)
+        return Settled(begin, fit, context.simulator, wholes, tuple(context.data), by_runs.runs.y, True, by_runs.pushed)
+    except ComputationError:
+        return None
