@@ -81,9 +81,9 @@ class Beginner:
                 # Of a motion that is not stable numbers follow whatever the fit sees, exact to many more digits than
                 # they are known.
                 return again if problem.follow(again.followed.y) or not balanced() else None
-            further = parts.runs or problem.tried(problem.called(parts.entries))
-            if further is not None and problem.followed_until(further) > problem.followed_until(runs):
-                runs, start = further, parts.entries
+            # Numbers that follow a part alone may stand for a law: then those that were given are nearer.
+            if parts.runs is not None and problem.followed_until(parts.runs) > problem.followed_until(runs):
+                runs, start = parts.runs, parts.entries
         try:
             followed = self._followed(runs)
             if not problem.follow(followed.y) and balanced():
