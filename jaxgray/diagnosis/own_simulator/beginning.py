@@ -22,8 +22,8 @@ from .runs.calls import Call
 from .runs.linearized import Linearized, linearized
 from .runs.numbers import NumbersSimulator
 from .runs.problem import Linear, Problem, Runs, parts_of
-from .runs.tracking import near_until
-from .settling import Settled, foreseen_by, is_white, left_by, refit_of_numbers, settle
+from .runs.tracking import is_white, near_until
+from .settling import Settled, foreseen_by, left_by, refit_of_numbers, settle
 
 MAX_RELINEARIZATIONS, MAX_LEADS = 8, 2
 """Times that a simulator is linearized about a led run to lead it further; and times that it is led anew with other
@@ -152,15 +152,13 @@ class Beginner:
         problem, fitted, led = self.problem, found.fitted, found.followed
         if fitted is None or not problem.follow(fitted.y):
             return found
-        if problem.follow(runs.y):
-            nearer = left_by(problem, fitted.y) - left_by(problem, runs.y)
-            moved = not fitted.still and nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
-        else:
-            moved = True
+        near, nearer = problem.follow(runs.y), left_by(problem, fitted.y) - left_by(problem, runs.y)
+        much = nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
+        moved = not near or (much and not fitted.still)
         there = problem.tried(problem.called(fitted.candidate.entries)) if moved else None
         if there is None or not problem.follow(there.y):
             return found
-        known = led.by_number if led.along and problem.follow(runs.y) else None
+        known = led.by_number if near and led.along else None
         again = self._anew(there, fitted.candidate.entries, by_number=known)
         if again is None or left_by(problem, again.fitted.y) > left_by(problem, fitted.y):
             return found

@@ -19,7 +19,8 @@ from ..result import Diagnosis
 from ..search.state import SearchState
 from .necessary_numbers import Necessary, necessary
 from .runs.problem import Outputs, Parts, Problem, Runs, nearer, parts_of
-from .settling import Settled, foreseen_by, is_white, shown_by
+from .runs.tracking import is_white
+from .settling import Settled, foreseen_by, shown_by
 
 UNSETTLED = "The laws and numbers still moved in the last run of the simulator"
 

@@ -28,7 +28,8 @@ from .growing_parts import FEWEST
 from .runs.calls import Simulator, checked_function, checked_numbers
 from .runs.numbers import NumbersSimulator
 from .runs.problem import Linear, Problem, Runs, Span, nearer, parts_of, sized
-from .settling import Settled, is_white
+from .runs.tracking import is_white
+from .settling import Settled
 
 NOT_EXPLAINED = "partly", "unexplained"
 """Verdicts that leave something open."""

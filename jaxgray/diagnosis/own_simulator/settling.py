@@ -6,16 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...numerics.outcomes import RESULTS, ComputationError
-from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.gauss_newton import Refit, refit
 from ..model.candidate import Candidate, Data
 from ..model.free_run import FreeRun, rms_of
 from ..model.parameter_vector import Layout
-from ..noise.whitening import white_noise_model, white_part
+from ..noise.whitening import white_noise_model
 from ..screening.linearization import sampled_plant
 from .runs.numbers import NumbersSimulator
 from .runs.problem import Linear, Problem, Runs, parts_of
+from .runs.tracking import is_white
 
 LED = 2
 """Runs at most that a force leads along the records, where the laws alone lead elsewhere."""
@@ -134,11 +134,6 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     return dataclasses.replace(
         best, fit=_widened(best.fit, layout, [end for left, end in ends if left < nearest + NEARER])
     )
-
-
-def is_white(runs: list[FreeRun]) -> bool:
-    """Whether runs leave about as much as the white part of it."""
-    return all(np.all(run.rmse**2 <= settings.MIN_EXCESS**2 * white_part(run.e, run.kept)) for run in runs)
 
 
 def foreseen_by(fit: Refit, data: tuple[Data, ...] | list[Data]) -> list[FreeRun]:

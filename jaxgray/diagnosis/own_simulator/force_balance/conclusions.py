@@ -14,7 +14,7 @@ from ...findings import Estimate, Finding, Gain, Member, ParameterShift
 from ...model.free_run import overall, rms_of
 from ...result import Diagnosis
 from ...selection import Runs
-from ..settling import is_white
+from ..runs.tracking import is_white
 from .equation import BalanceEquation
 from .search import BalanceSearch
 

@@ -127,7 +127,8 @@ def tracked(
         return begun
     call, y = approached(simulator, plant, record, *begun)
     end = near_until(record, y)
-    call, y = _led(simulator, plant, record if end == len(y) else until(record, end), call, y)
+    # No further than it ran.
+    call, y = _led(simulator, plant, record if end == len(y) else until(record, max(end, FEWEST)), call, y)
     if not bounded(y):
         # It ran as far as it was led.
         y = simulator.tried(call)
@@ -147,16 +148,15 @@ def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y:
         before, size = size, min(now, size)
         if now < before:
             best = call, y
-        if now > ENOUGH * before or _at_noise(record, y):
+        kept = np.isfinite(record.y)
+        if now > ENOUGH * before or is_white([FreeRun(y, np.where(kept, record.y - y, 0.0), kept)]):
             break
     return best
 
 
-def _at_noise(record: Record, y: Float[np.ndarray, "samples dofs"]) -> bool:
-    """Whether a run leaves of a record about what no motion explains."""
-    kept = np.isfinite(record.y)
-    run = FreeRun(y, np.where(kept, record.y - y, 0.0), kept)
-    return bool(np.all(run.rmse**2 <= settings.MIN_EXCESS**2 * white_part(run.e, kept)))
+def is_white(runs: list[FreeRun]) -> bool:
+    """Whether runs leave about as much as the white part of it."""
+    return all(np.all(run.rmse**2 <= settings.MIN_EXCESS**2 * white_part(run.e, run.kept)) for run in runs)
 
 
 def _tried(simulator: Simulator, call: Call, end: int) -> Float[np.ndarray, "samples dofs"] | None:
@@ -353,7 +353,10 @@ def forces_by_slopes(
     y: Float[np.ndarray, "samples dofs"],
     slopes: Float[np.ndarray, "samples dofs numbers"],
 ) -> Float[np.ndarray, "samples dofs numbers"]:
-    """The same by slopes of the outputs `y` by the numbers, for each of their units."""
+    """The same, to first order, by slopes of the outputs.
+
+    **Arguments:** `plant`; `record`; outputs `y` of a run; their `slopes` by every number, for one of its units.
+    """
     found = [plant.forces_beside(-one, y, record) for one in np.moveaxis(slopes, 2, 0)]
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
 
