@@ -138,7 +138,7 @@ class Beginner:
             if further is None or problem.followed_until(further) <= problem.followed_until(runs):
                 break
             try:
-                again = self._begun(problem.with_forces(self._followed(further)), fitted.candidate.entries)
+                again = self._begun(problem.with_forces(self._followed_again(further)), fitted.candidate.entries)
             except ComputationError:
                 break
             if again.fitted is None:
@@ -253,22 +253,32 @@ class Beginner:
                 ends += [] if about is None else [led(about, baseline, end)]
             except ComputationError as error:
                 failure = failure or error
+            if ends and problem.follow(ends[-1][0].y):
+                break
         if not ends:
             raise failure
         followed, plant = max(ends, key=lambda end: problem.followed_until(end[0]))
-        for _ in range(MAX_RELINEARIZATIONS):
-            # As it answers up to where it was led, it is led further.
-            before = problem.followed_until(followed)
-            try:
-                further, about_it = led(followed, followed, near_until(first, followed.y[0]))
-            except ComputationError:
-                break
-            if problem.followed_until(further) <= before:
+        with contextlib.suppress(ComputationError):
+            for _ in range(MAX_RELINEARIZATIONS):
+                before = problem.followed_until(followed)
                 if problem.follow(followed.y):
-                    plant = about_it
-                break
-            followed, plant = further, about_it
+                    plant = linearized(simulator, first, followed.calls[0], followed.y[0], self.rng)
+                    break
+                # As it answers up to where it was led, it is led further.
+                further, about_it = led(followed, followed, near_until(first, followed.y[0]))
+                if problem.followed_until(further) <= before:
+                    break
+                followed, plant = further, about_it
         problem.plant = plant
+        return followed
+
+    def _followed_again(self, runs: Runs) -> Runs:
+        """As `_followed`, by the linear plant as it is where that leads these runs along the whole records."""
+        problem = self.problem
+        followed = problem.led(runs)
+        if not problem.follow(followed.y):
+            return self._followed(runs)
+        problem.plant = linearized(problem.simulator, problem.record, followed.calls[0], followed.y[0], self.rng)
         return followed
 
 

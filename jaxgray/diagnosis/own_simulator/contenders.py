@@ -4,10 +4,11 @@ import dataclasses
 
 import numpy as np
 
+from ...mechanics.effects.base import Term
 from ...numerics.outcomes import ComputationError
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
-from ..estimation.gauss_newton import Refit
+from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import Attempt, unresolved
 from ..estimation.significance import at_bound, significance
 from ..findings import Gain, Reason
@@ -64,34 +65,55 @@ def chosen(
     **Raises:** `ComputationError` where the simulator runs with none of them.
     """
     settled: dict[tuple[str, str], Settled] = {}
-    beyond = np.inf
+    beyond, best = np.inf, None
     known = state.first.best_by_place() | {one.name: one.score for one in (accepted.attempt, *accepted.rivals)}
     failure = None
     for name, fit in _contenders(state, accepted):
         context.progress.unlimited.stage(f"trying {name[0]} at {name[1]} in the simulator")
         try:
-            one = settle(problem, context, fit, wholes, beyond=beyond)
+            one = settle(problem, *_about(problem, context, fit, wholes, best), beyond=beyond)
         except ComputationError as error:
             failure = error
             continue
-        beyond = min(beyond, left_by(problem, one.y) + np.log(FAR_BEHIND))
+        if left_by(problem, one.y) + np.log(FAR_BEHIND) < beyond:
+            best, beyond = one, left_by(problem, one.y) + np.log(FAR_BEHIND)
         if name == accepted.attempt.name or _sound(one, known.get(name)):
             settled[name] = one
     if not settled:
         raise failure
     criteria, count = _criteria(problem, settled)
-    best = min(criteria, key=criteria.__getitem__)
+    first = min(criteria, key=criteria.__getitem__)
     without = count * left_by(problem, before)
 
     def attempt(name: tuple[str, str]) -> Attempt:
         fit, delta = settled[name].fit, without - criteria[name]
         return Attempt(known[name], fit, noise_model_of(context, fit), criteria[name], delta_bic=delta)
 
-    first_of = attempt(best)
-    others = [attempt(name) for name in sorted(criteria, key=criteria.__getitem__) if name != best]
+    first_of = attempt(first)
+    others = [attempt(name) for name in sorted(criteria, key=criteria.__getitem__) if name != first]
     # Runs of a simulator are compared as finely as they settle.
     near = [other for other in others if other.criterion - first_of.criterion < alike(first_of, other) + NEARER * count]
-    return dataclasses.replace(accepted, attempt=first_of, rivals=tuple(near[:MOST_RIVALS])), settled[best]
+    return dataclasses.replace(accepted, attempt=first_of, rivals=tuple(near[:MOST_RIVALS])), settled[first]
+
+
+def _about(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear, best: Settled | None):
+    """Context, refit and records for a law: in the linear plant about the runs of the best one so far, begun from where
+    that one ended, where these runs are near the records; else as they are.
+
+    A plant about other runs may answer so differently that a law which explains as much seems hopeless.
+    """
+    if best is None or not problem.follow(best.y):
+        return context, fit, wholes
+    law, ended = fit.candidate.terms[-1], best.candidate.terms[-1]
+    ends = dict(zip((p.name for p in ended.effect.parameters), map(float, ended.values)))
+    values = [ends.get(p.name, float(value)) for p, value in zip(law.effect.parameters, law.values)]
+    term = Term(law.effect, law.place, law.effect.bounded(np.array(values)))
+    there = dataclasses.replace(context, simulator=best.linear, data=list(best.data))
+    begins = [best.candidate.with_terms((*best.candidate.terms[:-1], one)) for one in (term, law)]
+    noise_model = noise_model_of(there, best.fit)
+    found = [refit(best.linear, begin, there.data, noise_model, held=context.held) for begin in begins]
+    found = [one for one in found if one is not None]
+    return (there, min(found, key=lambda one: one.cost), best.wholes) if found else (context, fit, wholes)
 
 
 def _sound(settled: Settled, score: Score | None) -> bool:
