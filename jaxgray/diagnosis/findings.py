@@ -124,6 +124,7 @@ class Refusal:
 
 
 NOT_SIMULATED = Refusal(Reason.NOT_SIMULATED, "its refit could not be simulated")
+NEEDLESS_NOW = Refusal(Reason.NEEDLESS, "needless once the others are in the model")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from jaxgray.diagnosis.words.sentences import _correction
 @pytest.mark.parametrize(("left", "used"), [(1.0, True), (np.nan, False), (np.inf, False)])
 def test_a_run_that_is_no_number_is_refused(monkeypatch, left, used):
     layout = SimpleNamespace(moved=lambda theta, step, like: theta + step, candidate=lambda vector, like: vector)
-    monkeypatch.setattr(necessary_numbers, "shown_by", lambda *arguments: (np.zeros((3, 1)),))
+    monkeypatch.setattr(necessary_numbers, "shown_by", lambda *arguments, **options: (np.zeros((3, 1)),))
     monkeypatch.setattr(necessary_numbers, "left_by", lambda *arguments: left)
     monkeypatch.setattr(necessary_numbers.dataclasses, "replace", lambda one, **changes: changes)
     about = SimpleNamespace(layout=layout, theta=np.ones(2), count=2)

@@ -17,7 +17,7 @@ from jaxgray.diagnosis.own_simulator.runs import tracking
 from jaxgray.diagnosis.own_simulator.runs.calls import Call, Simulator, checked_numbers
 from jaxgray.diagnosis.own_simulator.runs.linearized import linearized
 from jaxgray.diagnosis.own_simulator.runs.problem import Problem, Span
-from jaxgray.diagnosis.own_simulator.runs.tracking import forces_by_number, tracked
+from jaxgray.diagnosis.own_simulator.runs.tracking import forces_by_slopes, slopes_by_number, tracked
 from jaxgray.numerics.outcomes import ComputationError
 
 H, SAMPLES = 0.01, 1500
@@ -158,7 +158,7 @@ def test_a_number_takes_a_force_along_the_motion():
     y = simulator.run(call)
     record = jaxgray.Record(u, y, H)
     plant = linearized(simulator, record, call, y, rng)
-    forces = forces_by_number(simulator, plant, record, call, y, call.numbers)[:, 0]
+    forces = forces_by_slopes(plant, record, y, slopes_by_number(simulator, record, call, y, call.numbers))[:, 0]
     v = np.gradient(y[:, 0], H)
     wanted = np.stack([0.1 * np.gradient(v, H), 0.08 * v, 2.0 * np.sin(y[:, 0]), 0.15 * np.tanh(v / 1e-3)], axis=1)
     # At reversals a force stands for what the varying plant does not know of dry friction.
@@ -364,7 +364,8 @@ def test_the_force_of_a_number_that_cannot_be_more_is_that_of_less():
     y = simulator.run(call)
     record = jaxgray.Record(u, y, H)
     plant = linearized(simulator, record, call, y, np.random.default_rng(1))
-    (force,) = forces_by_number(simulator, plant, record, call, y, call.numbers).T[:, 0]
+    slopes = slopes_by_number(simulator, record, call, y, call.numbers)
+    (force,) = forces_by_slopes(plant, record, y, slopes).T[:, 0]
     # More of it takes less force beside.
     assert np.corrcoef(force, u[:, 0])[0, 1] < -0.99 and abs(np.std(force) / np.std(u) - 1) < 0.1
 

@@ -21,7 +21,7 @@ from ...numerics.progress import AbstractProgress
 from ...records import Record
 from .. import settings
 from ..acceptance import bound_of, unsound
-from ..findings import Reason, Refusal, Rejected
+from ..findings import NEEDLESS_NOW, Reason, Refusal, Rejected
 from ..selection import AbstractSelection, AbstractTrial
 from .integrated_band import integrated_band
 from .library import Library, Scores, score
@@ -187,8 +187,7 @@ class Search(AbstractSelection):
                 old, new = (self.equation.fit(one.terms, weight) for one in (before, fit))
                 pair = gone.trial, float(new.criterion - old.criterion)
                 last = dataclasses.replace(last, stood_in=(*last.stood_in, pair))
-            why = Refusal(Reason.NEEDLESS, "needless once the others are in the model")
-            self.rejected.append(Rejected.of(gone.trial.name, gone.trial.delta_bic, why))
+            self.rejected.append(Rejected.of(gone.trial.name, gone.trial.delta_bic, NEEDLESS_NOW))
             self.fit, self.runs, self.taken[-1] = fit, runs, last
             return
 

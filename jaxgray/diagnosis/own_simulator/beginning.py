@@ -19,7 +19,7 @@ from ..model.candidate import Candidate
 from ..model.simulator import steps_of
 from .growing_parts import Ended, Grown, bettered, grown
 from .runs.calls import Call
-from .runs.linearized import Linearized, linearized
+from .runs.linearized import Linearized
 from .runs.numbers import NumbersSimulator
 from .runs.problem import Linear, Problem, Runs, parts_of
 from .runs.tracking import is_white, near_until
@@ -28,6 +28,9 @@ from .settling import Settled, foreseen_by, left_by, refit_of_numbers, settle
 MAX_RELINEARIZATIONS, MAX_LEADS = 8, 2
 """Times that a simulator is linearized about a led run to lead it further; and times that it is led anew with other
 numbers."""
+
+ALIKE = 0.1
+"""Change of every number, in units of it, up to which it moves runs along the same motion as it did."""
 
 REST = 4
 """Part of a run that is looked at for how a simulator answers at rest, one in so many."""
@@ -138,7 +141,8 @@ class Beginner:
             if further is None or problem.followed_until(further) <= problem.followed_until(runs):
                 break
             try:
-                again = self._begun(problem.with_forces(self._followed_again(further)), fitted.candidate.entries)
+                led = problem.with_forces(self._followed_again(further), self._known(found.followed, fitted))
+                again = self._begun(led, fitted.candidate.entries)
             except ComputationError:
                 break
             if again.fitted is None:
@@ -158,11 +162,16 @@ class Beginner:
         there = problem.tried(problem.called(fitted.candidate.entries)) if moved else None
         if there is None or not problem.follow(there.y):
             return found
-        known = led.by_number if near and led.along else None
-        again = self._anew(there, fitted.candidate.entries, by_number=known)
+        again = self._anew(there, fitted.candidate.entries, slopes=self._known(led, fitted))
         if again is None or left_by(problem, again.fitted.y) > left_by(problem, fitted.y):
             return found
         return dataclasses.replace(again, followed=led, candidate=fitted.candidate)
+
+    def _known(self, led: Runs, fitted: Settled) -> tuple[np.ndarray, ...] | None:
+        """How numbers move a run along the records with fitted ones, as they do in led runs, where these have nearly
+        the same; else None."""
+        far = np.abs(led.calls[0].numbers / self.problem.units - fitted.candidate.entries)
+        return led.slopes if led.along and np.all(far <= ALIKE) else None
 
     def _begun(self, about: Runs, entries: np.ndarray, by_runs: Grown | None = None) -> Beginning:
         """That about some runs, with the forces that numbers take there."""
@@ -187,20 +196,20 @@ class Beginner:
         entries: np.ndarray,
         *,
         by_runs: Grown | None = None,
-        by_number: tuple[np.ndarray, ...] | None = None,
+        slopes: tuple[np.ndarray, ...] | None = None,
     ) -> Beginning | None:
         """That with the plant as it is about these runs, and what the numbers take there, or along the records, where
-        that is known (`by_number`); None where that cannot be."""
+        it is known how they move a run there (`slopes`); None where that cannot be."""
         problem = self.problem
         with contextlib.suppress(ComputationError):
             with contextlib.suppress(ComputationError):
-                problem.plant = linearized(problem.simulator, problem.record, runs.calls[0], runs.y[0], self.rng)
+                problem.plant = problem.linearized(runs, self.rng)
             if problem.plant is None:
                 return None
-            if by_number is None:
+            if slopes is None:
                 runs = problem.with_forces(runs, None if by_runs is None else by_runs.slopes)
             else:
-                runs = dataclasses.replace(problem.led(runs), by_number=by_number, along=True)
+                runs = problem.with_forces(problem.led(runs), slopes)
             again = self._begun(runs, entries, by_runs)
             return again if again.fitted is not None else None
         return None
@@ -234,43 +243,47 @@ class Beginner:
 
         **Raises:** `ComputationError` where the simulator does not answer to forces as a mechanical system does.
         """
-        problem, simulator, first = self.problem, self.problem.simulator, self.problem.record
-
-        def led(about: Runs, begin: Runs, end: int | None = None) -> tuple[Runs, Linearized]:
-            self.progress.unlimited.stage("linearizing the simulator")
-            problem.plant = linearized(simulator, first, about.calls[0], about.y[0], self.rng, end)
-            self.progress.unlimited.stage("looking for the force that it lacks")
-            return problem.led(begin), problem.plant
-
+        problem, samples = self.problem, self.problem.record.samples
         if problem.follow(baseline.y):
-            return led(baseline, baseline)[0]
+            return self._led(baseline, baseline)[0]
         # Far from the record it may answer otherwise than there, and to small forces by large motions; at rest it does
         # not.
-        none = problem.tried([Call(0.0 * call.u, call.w, call.numbers) for call in baseline.calls])
         ends, failure = [], None
-        for about, end in ((baseline, None), (none, len(first.y) // REST)):
+        for about, end in ((baseline, None), (None, samples // REST)):
+            if about is None:
+                about = problem.tried([Call(0.0 * call.u, call.w, call.numbers) for call in baseline.calls])
             try:
-                ends += [] if about is None else [led(about, baseline, end)]
+                ends += [] if about is None else [self._led_on(*self._led(about, baseline, end))]
             except ComputationError as error:
                 failure = failure or error
             if ends and problem.follow(ends[-1][0].y):
                 break
         if not ends:
             raise failure
-        followed, plant = max(ends, key=lambda end: problem.followed_until(end[0]))
+        followed, problem.plant = max(ends, key=lambda end: problem.followed_until(end[0]))
+        return followed
+
+    def _led(self, about: Runs, begin: Runs, end: int | None = None) -> tuple[Runs, Linearized]:
+        """Some runs led further by the plant about others, up to a sample of these; and that plant."""
+        self.progress.unlimited.stage("linearizing the simulator")
+        self.problem.plant = self.problem.linearized(about, self.rng, end)
+        self.progress.unlimited.stage("looking for the force that it lacks")
+        return self.problem.led(begin), self.problem.plant
+
+    def _led_on(self, followed: Runs, plant: Linearized) -> tuple[Runs, Linearized]:
+        """Led runs, further as long as the plant about them leads there; and the plant about the end."""
+        problem = self.problem
         with contextlib.suppress(ComputationError):
             for _ in range(MAX_RELINEARIZATIONS):
                 before = problem.followed_until(followed)
                 if problem.follow(followed.y):
-                    plant = linearized(simulator, first, followed.calls[0], followed.y[0], self.rng)
-                    break
+                    return followed, problem.linearized(followed, self.rng)
                 # As it answers up to where it was led, it is led further.
-                further, about_it = led(followed, followed, near_until(first, followed.y[0]))
+                further, about_it = self._led(followed, followed, near_until(problem.record, followed.y[0]))
                 if problem.followed_until(further) <= before:
                     break
                 followed, plant = further, about_it
-        problem.plant = plant
-        return followed
+        return followed, plant
 
     def _followed_again(self, runs: Runs) -> Runs:
         """As `_followed`, by the linear plant as it is where that leads these runs along the whole records."""
@@ -278,7 +291,7 @@ class Beginner:
         followed = problem.led(runs)
         if not problem.follow(followed.y):
             return self._followed(runs)
-        problem.plant = linearized(problem.simulator, problem.record, followed.calls[0], followed.y[0], self.rng)
+        problem.plant = problem.linearized(followed, self.rng)
         return followed
 
 

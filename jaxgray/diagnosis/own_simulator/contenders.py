@@ -13,7 +13,7 @@ from ..estimation.multistart import Attempt, unresolved
 from ..estimation.significance import at_bound, significance
 from ..findings import Gain, Reason
 from ..model.candidate import estimated
-from ..model.free_run import rms_of
+from ..model.free_run import FreeRun, rms_of
 from ..model.parameter_vector import Layout
 from ..noise.effective_samples import independent_share
 from ..screening.score_test import Score
@@ -28,26 +28,26 @@ MOST = 4
 FAR_BEHIND = 1.1
 """Mean square that a law leaves, relative to another, at which no further run brings it near."""
 
-BEHIND = (Reason.EXPLAINED_BETTER, Reason.DOMINATED, Reason.NO_SURE_GAIN)
+BEHIND = (Reason.EXPLAINED_BETTER, Reason.DOMINATED, Reason.NO_SURE_GAIN, Reason.UNCERTAIN)
 """Reasons against a law that hold in the linear plant, and may not in the simulator."""
 
 MOST_RIVALS = 3
 """Laws that a finding shares its class with, at most."""
 
 
-def offered(context: SearchContext, state: SearchState) -> Accepted | None:
+def offered(context: SearchContext, state: SearchState, lacking: bool) -> Accepted | None:
     """The law that a search in the linear plant took, or the best of those that it refused for their gain alone, which
-    the simulator has to show; None for none."""
+    the simulator has to show; None for none. `lacking`: whether more than noise is left, of which the linear plant may
+    show little beside the numbers: then one that it doubts, too."""
+    reasons, least = (BEHIND, settings.MIN_DELTA_BIC) if lacking else ((Reason.NO_SURE_GAIN,), settings.CLEAR_DELTA_BIC)
     if state.accepted:
         return state.accepted[-1]
-    refused = sorted(
-        (one for one in state.rejected if one.reason is Reason.NO_SURE_GAIN), key=lambda one: -one.delta_bic
-    )
+    refused = sorted((one for one in state.rejected if one.reason in reasons), key=lambda one: -one.delta_bic)
     scores = state.first.best_by_place()
     for one in refused:
         name = one.effect, one.location
         fit = state.tried.get(name)
-        if fit is None or name not in scores or one.delta_bic < settings.CLEAR_DELTA_BIC or _name(fit) != name:
+        if fit is None or name not in scores or one.delta_bic < least or _name(fit) != name:
             continue
         attempt = Attempt(scores[name], fit, noise_model_of(context, fit), delta_bic=one.delta_bic)
         return Accepted(attempt, (), Gain({}, 0.0, (0.0, 0.0), 0.0, False), [])
@@ -116,6 +116,32 @@ def _about(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     return (there, min(found, key=lambda one: one.cost), best.wholes) if found else (context, fit, wholes)
 
 
+def needless(
+    problem: Problem, context: SearchContext, accepted: list[Accepted], settled: Settled
+) -> tuple[int, float, Settled] | None:
+    """Which of the laws that were accepted before the last one explains nothing beside those after it, what it is worth
+    by its BIC, and what is settled without it; None where each explains something."""
+    layout, terms = Layout(settled.linear.setup, settled.candidate), settled.candidate.terms
+    there = dataclasses.replace(context, simulator=settled.linear, data=list(settled.data))
+    for k in range(len(accepted) - 1):
+        if significance(settled.fit, layout, k) >= settings.MIN_STANDARD_ERRORS and at_bound(settled.fit, k) is None:
+            continue
+        candidate = settled.candidate.with_terms((*terms[:k], *terms[k + 1 :]))
+        fit = refit(settled.linear, candidate, there.data, noise_model_of(there, settled.fit), held=there.held)
+        if fit is None:
+            continue
+        try:
+            other = settle(problem, there, fit, settled.wholes)
+        except ComputationError:
+            continue
+        count = _independent(parts_of(problem, settled.y)[0])
+        worth = count * (left_by(problem, other.y) - left_by(problem, settled.y))
+        worth -= len(estimated(terms[k])) * float(np.log(count))
+        if worth < settings.MIN_DELTA_BIC:
+            return k, worth, other
+    return None
+
+
 def _sound(settled: Settled, score: Score | None) -> bool:
     """Whether nothing but its gain could speak against a law where it ended."""
     if score is None:
@@ -153,10 +179,15 @@ def _criteria(problem: Problem, settled: dict[tuple[str, str], Settled]) -> tupl
     runs = {name: parts_of(problem, one.y)[0] for name, one in settled.items()}
     left = {name: float(np.sum(np.log(rms_of(made) ** 2))) for name, made in runs.items()}
     best = runs[min(left, key=left.__getitem__)]
-    share = independent_share(max((run.e[run.kept.all(axis=1)] for run in best), key=len))
-    count = share * sum(int(run.kept.all(axis=1).sum()) for run in best)
+    count = _independent(best)
     criteria = {
         name: count * left[name] + len(estimated(one.candidate.terms[-1])) * float(np.log(count))
         for name, one in settled.items()
     }
     return criteria, count
+
+
+def _independent(runs: list[FreeRun]) -> float:
+    """How many samples are independent in what runs leave."""
+    share = independent_share(max((run.e[run.kept.all(axis=1)] for run in runs), key=len))
+    return share * sum(int(run.kept.all(axis=1).sum()) for run in runs)

@@ -257,11 +257,10 @@ class _Fewer:
         for _ in range(CORRECTIONS):
             if best is None or (left := self._left(best, self.settled)) < 1.0:
                 break
+            if self._hopeless(best.y, covariance):
+                break
             slope = self._slope(best.y)
             further = covariance @ slope
-            if left - 2 * slope @ further > self._worth(np.ones(self.about.count, bool)):
-                # No step brings it near.
-                break
             ahead = self._moved(step + further, covariance)
             # Where the slopes foretell little, the least of a parabola through both runs along the first one's slope.
             fall = float(slope @ further)
@@ -280,11 +279,16 @@ class _Fewer:
         vector = about.layout.moved(about.theta, step, candidate)
         vector[: about.count] = np.maximum(vector[: about.count], 0.0)
         candidate = about.layout.candidate(vector, candidate)
-        y = shown_by(self.problem, self.settled, candidate)
+        y = shown_by(self.problem, self.settled, candidate, hopeless=lambda y: self._hopeless(y, covariance))
         if y is None or not np.isfinite(left_by(self.problem, y)):
             return None
         fit = dataclasses.replace(self.settled.fit, candidate=candidate, covariance=covariance)
         return dataclasses.replace(self.settled, candidate=candidate, fit=fit, y=y)
+
+    def _hopeless(self, y: Outputs, covariance: np.ndarray) -> bool:
+        """Whether no step brings runs near what is settled."""
+        slope, left = self._slope(y), self._left(dataclasses.replace(self.settled, y=y), self.settled)
+        return not left - 2 * slope @ covariance @ slope <= self._worth(np.ones(self.about.count, bool))
 
     def _slope(self, y: Outputs) -> Float[np.ndarray, " parameters"]:
         """Slope of the sum of squares that runs leave, in units of the noise variance, by all parameters."""

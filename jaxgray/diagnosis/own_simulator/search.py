@@ -1,5 +1,6 @@
 """The diagnosis of a user's simulator: numbers first, then laws in its linear plant, then both in the simulator."""
 
+import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 
@@ -14,7 +15,7 @@ from ..acceptance import unproven
 from ..equation_error.without_unmeasured_forces import search_forces
 from ..estimation.context import SearchContext
 from ..estimation.measured_motion import FORCES
-from ..findings import NOT_SIMULATED, Rejected
+from ..findings import NEEDLESS_NOW, NOT_SIMULATED, Rejected
 from ..model.candidate import Candidate
 from ..noise.floor import independent_floor
 from ..result import Diagnosis
@@ -22,14 +23,14 @@ from ..search.forward import select_forward
 from ..search.state import SearchState, is_local
 from .beginning import Beginner, Beginning
 from .conclusions import diagnosis_of, gain_between
-from .contenders import chosen, offered
+from .contenders import chosen, needless, offered
 from .force_balance import Balanced, balance_diagnosis, search_balance
 from .growing_parts import FEWEST
 from .runs.calls import Simulator, checked_function, checked_numbers
 from .runs.numbers import NumbersSimulator
 from .runs.problem import Linear, Problem, Runs, Span, nearer, parts_of, sized
 from .runs.tracking import is_white
-from .settling import Settled
+from .settling import Settled, refit_of_numbers
 
 NOT_EXPLAINED = "partly", "unexplained"
 """Verdicts that leave something open."""
@@ -117,10 +118,7 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     )
     fitted = found.fitted
     if not settled:
-        if fitted is None:
-            detail = "it does not run with the numbers that the record asks for"
-            raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
-        settled.append(fitted)
+        settled.append(fitted or _as_given(problem, context, found.wholes, baseline, start))
     return diagnosis_of(
         problem, context, states, settled, baseline=baseline, fitted=fitted, followed=found.followed, start=start
     )
@@ -144,16 +142,17 @@ def _laws(
         linear, wholes, begin = fitted.linear, fitted.wholes, fitted.candidate
     states: list[SearchState] = []
     settled: list[Settled] = []
-    while len(settled) <= most:
+    while len(settled) <= most and len(states) <= 2 * most:
         context = context_of(linear, wholes)
         begin = Candidate(start, wholes.states[: len(context.data)]) if begin is None else begin
         state = select_forward(context, begin, min(1, most - len(settled)))
         states.append(state)
-        law = offered(context, state) if len(settled) < most else None
-        if law is None:
-            break
         plain = problem.begun(baseline.y)
         before = settled[-1].y if settled else plain if fitted is None else nearer(problem, fitted.y, plain)
+        lacking = not is_white(parts_of(problem, before)[0])
+        law = offered(context, state, lacking) if len(settled) < most else None
+        if law is None:
+            break
         try:
             law, now = chosen(problem, context, state, law, wholes, before)
         except ComputationError:
@@ -172,11 +171,37 @@ def _laws(
         taken = {law.attempt.name, *(rival.name for rival in law.rivals)}
         state.rejected = [one for one in state.rejected if (one.effect, one.location) not in taken]
         settled.append(now)
-        linear, wholes, begin = now.linear, now.wholes, now.candidate
+        _drop_needless(problem, context, states, settled)
+        linear, wholes, begin = settled[-1].linear, settled[-1].wholes, settled[-1].candidate
     if explained and not settled:
         # What the linear plant shows beside them is its own.
         states[-1].unexplained = False
     return context, states, settled
+
+
+def _drop_needless(problem: Problem, context: SearchContext, states: list[SearchState], settled: list[Settled]) -> None:
+    """Drop laws of earlier rounds that the newest one has made needless."""
+    while True:
+        taken = [state for state in states if state.accepted]
+        gone = needless(problem, context, [state.accepted[0] for state in taken], settled[-1])
+        if gone is None:
+            return
+        k, worth, settled[-1] = gone
+        name = taken[k].accepted[0].attempt.name
+        states[-1].rejected.append(Rejected.of(name, worth, NEEDLESS_NOW))
+        taken[k].accepted = []
+        del settled[k]
+
+
+def _as_given(problem: Problem, context: SearchContext, wholes: Linear, baseline: Runs, start: np.ndarray) -> Settled:
+    """The numbers as they were given, where the simulator does not run with those that the record asks for.
+
+    **Raises:** `ComputationError` where its linear plant does not either.
+    """
+    begin = Candidate(start, wholes.states[: len(context.data)])
+    fit = dataclasses.replace(refit_of_numbers(context, begin), candidate=begin)
+    y = problem.begun(baseline.y)
+    return Settled(begin, fit, context.simulator, wholes, tuple(context.data), y, still=False)
 
 
 def _tells(found: Diagnosis | None) -> bool:

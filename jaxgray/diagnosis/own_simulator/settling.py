@@ -182,10 +182,11 @@ def _as_foreseen(problem: Problem, runs: Runs, foreseen: list[np.ndarray], y: tu
 
 
 def shown_by(
-    problem: Problem, settled: Settled, candidate: Candidate, without: Runs | None = None
+    problem: Problem, settled: Settled, candidate: Candidate, without: Runs | None = None, hopeless=lambda y: False
 ) -> tuple[np.ndarray, ...] | None:
     """What the sensors show of the simulator with a candidate near what was settled; None where it does not run with
-    it. `without`: runs with its numbers and no law, where they are known."""
+    it. `without`: runs with its numbers and no law, where they are known; `hopeless`: whether outputs are so far off
+    that it does not matter whether the forces of the laws are those along the motion."""
     linear, wholes = settled.linear, settled.wholes
     for _ in range(CLOSED):
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
@@ -200,9 +201,10 @@ def shown_by(
             linear, wholes = problem.about(linear, candidate, wholes, runs)
         except ComputationError:
             return None
-        if not candidate.terms or _as_foreseen(problem, runs, foreseen, problem.seen(linear, candidate, wholes, runs)):
+        y = problem.seen(linear, candidate, wholes, runs)
+        if not candidate.terms or _as_foreseen(problem, runs, foreseen, y) or hopeless(y):
             break
-    return problem.seen(linear, candidate, wholes, runs)
+    return y
 
 
 def refit_of_numbers(context: SearchContext, candidate: Candidate) -> Refit:

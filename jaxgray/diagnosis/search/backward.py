@@ -15,7 +15,7 @@ from ..estimation.context import SearchContext, noise_model_of, stage_of_candida
 from ..estimation.gauss_newton import Refit, refit, with_states
 from ..estimation.multistart import moving
 from ..estimation.significance import evidence, significance
-from ..findings import Reason, Refusal, Rejected
+from ..findings import NEEDLESS_NOW, Reason, Refusal, Rejected
 from ..model.candidate import Candidate
 from ..model.parameter_vector import Layout
 from .state import SearchState, held_out_run
@@ -88,8 +88,7 @@ def _dropped(context: SearchContext, state: SearchState) -> bool:
         change = ratio - gone.score.shape.free * np.log(rows)
         if change < settings.MIN_DELTA_BIC:
             state.accepted.pop(k)
-            why = Refusal(Reason.NEEDLESS, "needless once the others are in the model")
-            state.rejected.append(Rejected.of(gone.name, change, why))
+            state.rejected.append(Rejected.of(gone.name, change, NEEDLESS_NOW))
             _take(context, state, fit)
             if k == len(state.accepted):
                 _credit(state, gone.delta_bic - change)

@@ -166,7 +166,7 @@ class Varying:
         near = np.concatenate([near[:1], (near[:-1] + near[1:]) / 2])
         # As they are about the sample, like the force.
         small = small + second * h**2 / 12
-        pieces = small[:, i, None] * (_pieces(large[:, i], self.knots[i]) - self.mean[i])
+        pieces = small[:, i, None] * (knot_shares(large[:, i], self.knots[i]) - self.mean[i])
         return np.concatenate([second, slope, small, pieces, (slope[:, i] * near)[:, None]], axis=1)
 
     @classmethod
@@ -174,7 +174,7 @@ class Varying:
         """That of an answer `small` to forces beside a motion `large`, by least squares."""
         dofs = large.shape[1]
         knots = np.stack([np.linspace(q.min(), max(q.max(), q.min() + 1e-300), PIECES) for q in large.T])
-        mean = np.stack([np.mean(_pieces(q, k), axis=0) for q, k in zip(large.T, knots)])
+        mean = np.stack([np.mean(knot_shares(q, k), axis=0) for q, k in zip(large.T, knots)])
         v = REVERSAL * np.maximum(np.sqrt(np.mean(np.gradient(large, h, axis=0) ** 2, axis=0)), 1e-300)
         empty, rows = cls(np.zeros((dofs, 0)), knots, mean, v), []
         for i in range(dofs):
@@ -215,7 +215,7 @@ class Varying:
         stiffness, damping = np.tile(K, (samples, 1, 1)), np.tile(D, (samples, 1, 1))
         speed = np.gradient(large, h, axis=0)
         for i in range(dofs):
-            pieces = over_samples(_pieces(large[:, i], self.knots[i])) - self.mean[i]
+            pieces = over_samples(knot_shares(large[:, i], self.knots[i])) - self.mean[i]
             stiffness[:, i, i] += pieces @ self.table[i, 3 * dofs : -1]
             damping[:, i, i] += self.table[i, -1] * self._near(speed[:, i], i)
         return sampled_over_time(M, damping, stiffness, h)
@@ -239,7 +239,7 @@ class Varying:
         for i in range(dofs):
             for share in shares:
                 q = large[:, i] + share * (other[:, i] - large[:, i])
-                pieces = over(_pieces(q, self.knots[i])) - self.mean[i]
+                pieces = over(knot_shares(q, self.knots[i])) - self.mean[i]
                 stiffness[:, i] += pieces @ self.table[i, 3 * dofs : -1] / WAY
             most = STICKS * self.table[i, i] / h
             near = self._near(speed[:, i], i)
@@ -297,7 +297,7 @@ def _semidefinite(X: np.ndarray) -> np.ndarray:
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
-def _pieces(q: Float[np.ndarray, " samples"], knots: Float[np.ndarray, " knots"]) -> np.ndarray:
+def knot_shares(q: Float[np.ndarray, " samples"], knots: Float[np.ndarray, " knots"]) -> np.ndarray:
     """Shares of the knots in a curve of straight pieces at q, constant beyond the last."""
     return np.stack([np.interp(q, knots, one) for one in np.eye(len(knots))], axis=1)
 
@@ -332,11 +332,12 @@ def linearized(
     y: Float[np.ndarray, "samples outputs"],
     rng: np.random.Generator,
     end: int | None = None,
+    input_map: Float[np.ndarray, "dofs inputs"] | None = None,
 ) -> Linearized:
     """The linear plant of a simulator about a run.
 
     **Arguments:** `simulator`; `record`: for sampling time, hold and names; `call` and its outputs `y`; `rng`; `end`:
-    the sample up to which the run counts.
+    the sample up to which the run counts; `input_map`: E, where it is known of another run.
 
     **Raises:** `ComputationError` where the outputs do not answer to forces as a mechanical system does.
     """
@@ -369,6 +370,8 @@ def linearized(
             "coordinate of every output, beside what acts there"
         )
         raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
+    if input_map is not None:
+        return Linearized(M, D, K, input_map, varying)
     inputs = np.std(call.u, axis=0)
     shape = _wide_band(len(call.u), record.inputs, rng) * np.where(inputs > 0, inputs, force)
     u, answer = _answered(simulator, by_inputs, shape, y, size)

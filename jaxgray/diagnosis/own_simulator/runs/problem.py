@@ -18,16 +18,16 @@ from ....records import Record
 from ...model.candidate import Candidate, Data
 from ...model.free_run import FreeRun, rms_of
 from .calls import Call, Failure, Simulator
-from .linearized import Linearized
+from .linearized import Linearized, linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time
 from .tracking import (
     as_linear,
     forces_beside,
-    forces_by_number,
     forces_by_slopes,
     near_until,
     relative_error,
     relative_size,
+    slopes_by_number,
     tracked,
     until,
 )
@@ -80,26 +80,28 @@ class Span:
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs of all spans: their `calls` and outputs `y`, by how much more force every number takes, and whether that is
-    so along the whole records (`along`)."""
+    """Runs of all spans: their `calls` and outputs `y`; by how much more force every number takes, and by how much it
+    moves them (`slopes`); and whether that is so along the whole records (`along`)."""
 
     calls: tuple[Call, ...]
     y: tuple[np.ndarray, ...]
     by_number: tuple[np.ndarray, ...] = ()
+    slopes: tuple[np.ndarray, ...] = ()
     along: bool = False
 
 
 @dataclass
 class Problem:
     """What a diagnosis works on: `simulator`, `spans`, `units` of the numbers (values of entry 1), `laws`: force laws
-    of the catalogue; and, once they are known, the linear `plant`, which numbers are `idle`: they move no output, and
-    whether a run with the numbers as they were given is far `away` from a record."""
+    of the catalogue; and, once they are known, the linear `plant`, how inputs act (`input_map`), which numbers are
+    `idle`: they move no output, and whether a run with the numbers as they were given is far `away` from a record."""
 
     simulator: Simulator
     spans: tuple[Span, ...]
     units: Float[np.ndarray, " numbers"]
     laws: tuple[AbstractForceEffect, ...]
     plant: Linearized | None = None
+    input_map: Float[np.ndarray, "dofs inputs"] | None = None
     idle: Bool[np.ndarray, " numbers"] | None = None
     away: bool = False
 
@@ -136,23 +138,31 @@ class Problem:
         none = [np.zeros((span.record.samples, span.record.outputs)) for span in self.spans]
         return [Call(span.record.u, w, entries * self.units) for span, w in zip(self.spans, none)]
 
+    def linearized(self, runs: Runs, rng: np.random.Generator, end: int | None = None) -> Linearized:
+        """The linear plant about the first of some runs, up to a sample. How inputs act is asked once, of a run in
+        which they do.
+
+        **Raises:** `ComputationError` where the simulator does not answer to forces as a mechanical system does.
+        """
+        call = runs.calls[0]
+        plant = linearized(self.simulator, self.record, call, runs.y[0], rng, end, self.input_map)
+        if np.any(call.u):
+            self.input_map = plant.input_map
+        return plant
+
     def idle_by(self, forces: tuple[np.ndarray, ...]) -> Bool[np.ndarray, " numbers"]:
         """Which numbers take no force of their own, from the forces that they take."""
         size = max(float(np.max(np.abs(span.record.u @ self.plant.input_map.T))) for span in self.spans)
         return np.all([np.all(np.abs(S) <= IDLE * size, axis=(0, 1)) for S in forces], axis=0)
 
     def with_forces(self, runs: Runs, slopes: tuple[np.ndarray, ...] | None = None) -> Runs:
-        """Runs with the forces that the numbers take along their motion, by slopes of these runs where they are
-        known."""
-        known = {"simulator": self.simulator, "plant": self.plant, "units": self.units}
+        """Runs with the forces that the numbers take along their motion, by slopes of these runs, or of others along
+        the same motion, where they are known."""
         if slopes is None:
-            forces = [
-                forces_by_number(record=span.record, call=call, y=y, **known)
-                for span, call, y in zip(self.spans, runs.calls, runs.y)
-            ]
-        else:
-            forces = [forces_by_slopes(self.plant, span.record, y, S) for span, y, S in zip(self.spans, runs.y, slopes)]
-        return dataclasses.replace(runs, by_number=tuple(forces), along=self.follow(runs.y))
+            made = zip(self.spans, runs.calls, runs.y)
+            slopes = tuple(slopes_by_number(self.simulator, span.record, *one, self.units) for span, *one in made)
+        forces = [forces_by_slopes(self.plant, span.record, y, S) for span, y, S in zip(self.spans, runs.y, slopes)]
+        return dataclasses.replace(runs, by_number=tuple(forces), slopes=slopes, along=self.follow(runs.y))
 
     def led(self, runs: Runs) -> Runs:
         """Runs that forces beside those of their calls lead along the records, as far as they can."""

@@ -16,6 +16,7 @@ from ... import settings
 from ...model.free_run import FreeRun
 from ...noise.whitening import white_part
 from .calls import Call, Failure, Simulator
+from .forecast import forecast
 from .linearized import Linearized
 
 ROUNDS = 6
@@ -64,7 +65,7 @@ def as_linear(
     under which it makes the simulator's motion, less what the call gave it, and by how much more force every number
     takes.
 
-    **Arguments:** `record`; `plant`; `call` and its outputs `y`; `by_number`: as `forces_by_number` gives it.
+    **Arguments:** `record`; `plant`; `call` and its outputs `y`; `by_number`: as `forces_by_slopes` gives it.
 
     **Returns:** the record, and the first state of the plant.
     """
@@ -180,7 +181,8 @@ def approached(
     """The call whose outputs are near a record for longest, and those outputs, infinite where it did not run.
 
     A linear plant leads to what is near, so that a run is led to the record up to where it leaves it; what comes after
-    begins where the record is, and stays near it for longer. It need not run much further than that.
+    begins where the record is, and stays near it for longer, under the force that what is known foretells. It need not
+    run much further than that.
 
     **Arguments:** as `tracked`.
     """
@@ -189,9 +191,11 @@ def approached(
         if end == len(y) or limit < NEAREST:
             break
         end = min(end, near_until(record, y, limit))
-        force = following_force(plant, until(record, max(end, FEWEST)), call.w, y)
+        known = max(end, FEWEST)
+        force = following_force(plant, until(record, known), call.w, y)
+        force[known:] = forecast(record, call.u, force[:known], force[known:])
         trial = Call(call.u, force, call.numbers)
-        further = int(ahead * max(end, FEWEST))
+        further = int(ahead * known)
         further = further if further < len(y) - IN_A_ROW else len(y)
         there = _tried(simulator, trial, further)
         reached = -1 if there is None else near_until(record, there, limit)
@@ -312,18 +316,16 @@ def _filtered(F, known, Q, P, C, noise, e) -> _Filtered:
     return _Filtered(ahead, after, spread_ahead, spread_after, likelihood)
 
 
-def forces_by_number(
+def slopes_by_number(
     simulator: Simulator,
-    plant: Linearized,
     record: Record,
     call: Call,
     y: Float[np.ndarray, "samples dofs"],
     units: Float[np.ndarray, " numbers"],
 ) -> Float[np.ndarray, "samples dofs numbers"]:
-    """By how much more force every number takes for the same motion, for each of its units, to first order: what brings
-    a run with a little more of it back.
+    """By how much a run moves with a little more of every number, for each of its units, to first order.
 
-    **Arguments:** `simulator`; `plant`; `record`; `call` and its outputs `y`; `units` of the numbers.
+    **Arguments:** `simulator`; `record`; `call` and its outputs `y`; `units` of the numbers.
 
     **Raises:** `ComputationError` where the simulator runs neither with more nor with less of a number.
     """
@@ -343,7 +345,7 @@ def forces_by_number(
         while np.any(np.max(np.abs(there - y), axis=0) > SMALL * _motion(record)) and abs(step) > NUMBER / 50:
             step /= 10
             there = simulator.run(stepped(unit, step))
-        found.append(plant.forces_beside(y - there, y, record) / step)
+        found.append((there - y) / step)
     return np.stack(found, axis=2) if found else np.zeros((*y.shape, 0))
 
 
@@ -353,7 +355,8 @@ def forces_by_slopes(
     y: Float[np.ndarray, "samples dofs"],
     slopes: Float[np.ndarray, "samples dofs numbers"],
 ) -> Float[np.ndarray, "samples dofs numbers"]:
-    """The same, to first order, by slopes of the outputs.
+    """By how much more force every number takes for the same motion, for each of its units, to first order: what brings
+    a run with a little more of it back.
 
     **Arguments:** `plant`; `record`; outputs `y` of a run; their `slopes` by every number, for one of its units.
     """
