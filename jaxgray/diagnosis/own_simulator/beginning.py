@@ -158,7 +158,8 @@ class Beginner:
             return found
         near, nearer = problem.follow(runs.y), left_by(problem, fitted.y) - left_by(problem, runs.y)
         much = nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
-        moved = not near or (much and not fitted.still)
+        # What no numbers explain in the linear plant itself is for a law to explain.
+        moved = (not near or (much and not fitted.still)) and not _lacking(fitted)
         there = problem.tried(problem.called(fitted.candidate.entries)) if moved else None
         if there is None or not problem.follow(there.y):
             return found
@@ -300,8 +301,12 @@ def _settled(problem: Problem, fitted: Settled | None, still: bool = True) -> bo
     explain in the linear plant itself."""
     if fitted is None:
         return False
-    lacking = not is_white(foreseen_by(fitted.fit, fitted.data))
-    return (still and fitted.still) or lacking or is_white(parts_of(problem, fitted.y)[0])
+    return (still and fitted.still) or _lacking(fitted) or is_white(parts_of(problem, fitted.y)[0])
+
+
+def _lacking(fitted: Settled) -> bool:
+    """Whether numbers alone leave more than noise in the linear plant itself."""
+    return not is_white(foreseen_by(fitted.fit, fitted.data))
 
 
 def _numbers_alone(

@@ -13,14 +13,14 @@ from ..estimation.multistart import Attempt, unresolved
 from ..estimation.significance import at_bound, significance
 from ..findings import Gain, Reason
 from ..model.candidate import estimated
-from ..model.free_run import FreeRun, rms_of
+from ..model.free_run import FreeRun
 from ..model.parameter_vector import Layout
 from ..noise.effective_samples import independent_share
 from ..screening.score_test import Score
 from ..search.confusable import alike
 from ..search.state import Accepted, SearchState
 from .runs.problem import Linear, Outputs, Problem, parts_of
-from .settling import NEARER, Settled, left_by, settle
+from .settling import NEARER, Settled, left_by, left_of, settle
 
 MOST = 4
 """Laws that are settled in the simulator in one round."""
@@ -177,7 +177,7 @@ def _name(fit: Refit) -> tuple[str, str]:
 def _criteria(problem: Problem, settled: dict[tuple[str, str], Settled]) -> tuple[dict[tuple[str, str], float], float]:
     """N ln(cost) + k ln N of runs of the simulator, with as many samples as are independent in the best, and N."""
     runs = {name: parts_of(problem, one.y)[0] for name, one in settled.items()}
-    left = {name: float(np.sum(np.log(rms_of(made) ** 2))) for name, made in runs.items()}
+    left = {name: left_of(made) for name, made in runs.items()}
     best = runs[min(left, key=left.__getitem__)]
     count = _independent(best)
     criteria = {

@@ -32,6 +32,9 @@ APART = 0.2
 CORRECTIONS = 2
 """Gauss-Newton steps in which the rest of a fit comes to where it is best beside numbers as they were given."""
 
+FURTHER = 4 / 3
+"""How much more of what runs leave a step may mend than slopes foretell."""
+
 
 @dataclass(frozen=True)
 class Moved:
@@ -287,8 +290,10 @@ class _Fewer:
 
     def _hopeless(self, y: Outputs, covariance: np.ndarray) -> bool:
         """Whether no step brings runs near what is settled."""
-        slope, left = self._slope(y), self._left(dataclasses.replace(self.settled, y=y), self.settled)
-        return not left - 2 * slope @ covariance @ slope <= self._worth(np.ones(self.about.count, bool))
+        slope = self._slope(y)
+        here, there = (rms_of(parts_of(self.problem, one)[0]) for one in (y, self.settled.y))
+        left = self.about.samples * float(np.sum((here / there) ** 2 - 1))
+        return not left - FURTHER * slope @ covariance @ slope <= self._worth(np.ones(self.about.count, bool))
 
     def _slope(self, y: Outputs) -> Float[np.ndarray, " parameters"]:
         """Slope of the sum of squares that runs leave, in units of the noise variance, by all parameters."""

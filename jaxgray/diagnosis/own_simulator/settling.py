@@ -117,7 +117,7 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         best, nearest = dataclasses.replace(best, still=still), min(left, nearest)
         # Each turn brings less than the one before, and not more than the linear plant about this run says.
         there = foreseen_by(again, data)
-        foretold.append(float(np.sum(np.log(rms_of(there) ** 2))))
+        foretold.append(left_of(there))
         hopeless, before = max(2 * left - before, foretold[-1]) > beyond, left
         # What numbers alone do not explain in the linear plant is for a law to explain.
         lacking = not candidate.terms and turn > 0 and foretold[-1] > foretold[-2] + HALF and not is_white(there)
@@ -169,7 +169,12 @@ def _further(steps: list[tuple[np.ndarray, np.ndarray]], size: np.ndarray) -> np
 
 def left_by(problem: Problem, y: tuple[np.ndarray, ...]) -> float:
     """Logarithm of the mean squares that runs leave of the outputs in the data of the fit."""
-    return float(np.sum(np.log(rms_of(parts_of(problem, y)[0]) ** 2)))
+    return left_of(parts_of(problem, y)[0])
+
+
+def left_of(runs: list[FreeRun]) -> float:
+    """The same of runs over these data."""
+    return float(np.sum(np.log(rms_of(runs) ** 2)))
 
 
 def _as_foreseen(problem: Problem, runs: Runs, foreseen: list[np.ndarray], y: tuple[np.ndarray, ...]) -> bool:
