@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
+from ...numerics.responses.filters import without_gaps
 from ...records.periods import find_period
 from ..findings import Curves
 from ..result import Diagnosis
@@ -54,7 +55,7 @@ def spectra(diagnosis: Diagnosis) -> Spectra:
     h = float(np.median(np.diff(curves.time)))
     u = records[0].u[: len(curves.time)]
     signals = curves.measured, curves.measured - curves.baseline, curves.measured - curves.extended
-    signals = [_without_gaps(x) for x in signals]
+    signals = [without_gaps(x) for x in signals]
     period = find_period(u, REPEATS)
     if period is not None and len(curves.time) // period >= 2:
         return _lines(u, signals, noise, period, h, curves)
@@ -80,12 +81,3 @@ def _lines(u, signals, noise, period: int, h: float, curves: Curves) -> Spectra:
     floor = noise * 2 / np.sqrt(repeats * period)
     driven = power > EXCITED * power.max()
     return Spectra(frequency, *map(lines, signals), floor, driven, period, curves.held_out)
-
-
-def _without_gaps(x: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, "samples outputs"]:
-    """Missing samples bridged by straight lines."""
-    at, filled = np.arange(len(x)), np.array(x)
-    for column in filled.T:
-        known = np.isfinite(column)
-        column[:] = np.interp(at, at[known], column[known]) if known.any() else 0.0
-    return filled

@@ -5,7 +5,7 @@
     beginning          the linear plant about a run near the records, and the numbers there
     growing_parts      numbers by its own runs, over parts of the records that grow
     settling           laws and numbers where they stand still in the simulator
-    contenders         the law that explains most there
+    contenders         the law that explains most there, and laws that a newer one makes needless
     necessary_numbers  the fewest numbers that have to be other, and which of them stand for one another
     conclusions        what is said of it, and what one run gains over another
     force_balance      its balance of forces along the measured motion, where no run follows the record

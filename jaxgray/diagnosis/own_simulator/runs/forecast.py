@@ -12,6 +12,7 @@ import scipy.signal
 from jaxtyping import Float
 
 from ....numerics.matrices.bounded import bounded
+from ....numerics.responses.filters import without_gaps
 from ....records import Record
 from .linearized import knot_shares
 
@@ -69,6 +70,4 @@ def _curves(record: Record, u: Float[np.ndarray, "samples inputs"]) -> tuple[np.
 
 def _smoothed(y: Float[np.ndarray, "samples dofs"]) -> Float[np.ndarray, "samples dofs"]:
     """Outputs without the fastest part of their noise; between what is known of them on straight lines."""
-    at, kept = np.arange(len(y)), np.isfinite(y)
-    filled = np.stack([np.interp(at, at[some], x[some]) for x, some in zip(y.T, kept.T)], axis=1)
-    return scipy.signal.savgol_filter(filled, min(SMOOTHED, len(y)), DEGREE, axis=0)
+    return scipy.signal.savgol_filter(without_gaps(y), min(SMOOTHED, len(y)), DEGREE, axis=0)
