@@ -38,7 +38,10 @@ def forecast(
     """Forces beyond those that are known, by the measured motion and the inputs there; `otherwise` where the last
     quarter of them could not have been foretold from those before.
 
-    **Arguments:** `record`; inputs `u` of the run; forces that are `known` over its first samples.
+    **Arguments:** `record`: with all that was measured, NaN where nothing was; inputs `u` of the run; forces that are
+    `known` over its first samples [N or N m]; `otherwise`: what they would be at the rest of them.
+
+    **Returns:** forces at the rest of the samples, in the same units.
     """
     if not bounded(known):
         return otherwise
