@@ -13,6 +13,7 @@ import scipy.signal
 import jaxgray
 from jaxgray.diagnosis.estimation.measured_motion import FORCES
 from jaxgray.diagnosis.model.candidate import Candidate
+from jaxgray.diagnosis.own_simulator import beginning
 from jaxgray.diagnosis.own_simulator.runs import tracking
 from jaxgray.diagnosis.own_simulator.runs.calls import Call, Simulator, checked_numbers
 from jaxgray.diagnosis.own_simulator.runs.linearized import linearized
@@ -387,6 +388,15 @@ def test_a_record_that_begins_elsewhere_is_no_fault_of_the_simulator():
     found = jaxgray.diagnose(record, simulator=spring, parameters={"more": 0.0}, only="cubic_stiffness")
     assert found.verdict == "noise" and not found.findings and found.baseline_excess < 1.05
     assert any("does not begin where the simulator does" in text for text in found.warnings)
+
+
+@pytest.mark.slow
+def test_a_simulator_that_runs_with_no_numbers_asked_for_keeps_those_that_were_given(monkeypatch):
+    record, numbers = measured(pendulum.cubic, 0.3, samples=800)
+    monkeypatch.setattr(beginning, "_numbers_alone", lambda *given: None)
+    found = jaxgray.diagnose(record, simulator=pendulum.simulator, parameters=numbers, only=["sensor_offset"])
+    assert found.verdict == "unexplained" and [finding.effect for finding in found.findings] == ["unexplained"]
+    assert all(s.after == s.before for s in found.shifts)
 
 
 def test_a_number_that_says_nothing_has_no_error():
