@@ -137,6 +137,9 @@ class Beginner:
             fitted = found.fitted
             if fitted is None or problem.follow(runs.y) or problem.follow(fitted.y):
                 break
+            if found.followed.along and _lacking(fitted):
+                # What no numbers explain in the linear plant along the records is for a law to explain.
+                break
             further = problem.tried(problem.called(fitted.candidate.entries))
             if further is None or problem.followed_until(further) <= problem.followed_until(runs):
                 break
@@ -158,7 +161,6 @@ class Beginner:
             return found
         near, nearer = problem.follow(runs.y), left_by(problem, fitted.y) - left_by(problem, runs.y)
         much = nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
-        # What no numbers explain in the linear plant itself is for a law to explain.
         moved = (not near or (much and not fitted.still)) and not _lacking(fitted)
         there = problem.tried(problem.called(fitted.candidate.entries)) if moved else None
         if there is None or not problem.follow(there.y):

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from ...mechanics.effects.base import Term
+from ...mechanics.effects.base import AbstractOutputEffect, Term
 from ...numerics.outcomes import ComputationError
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
@@ -17,7 +17,7 @@ from ..model.free_run import FreeRun
 from ..model.parameter_vector import Layout
 from ..noise.effective_samples import independent_share
 from ..screening.score_test import Score
-from ..search.confusable import alike
+from ..search.confusable import alike, resemble
 from ..search.state import Accepted, SearchState
 from .runs.problem import Linear, Outputs, Problem, parts_of
 from .settling import NEARER, Settled, left_by, left_of, settle
@@ -68,19 +68,30 @@ def chosen(
     beyond, best = np.inf, None
     known = state.first.best_by_place() | {one.name: one.score for one in (accepted.attempt, *accepted.rivals)}
     failure = None
-    for name, fit in _contenders(state, accepted):
+
+    def tried(name: tuple[str, str], begin: tuple[SearchContext, Refit, Linear]) -> None:
+        nonlocal beyond, best, failure
         context.progress.unlimited.stage(f"trying {name[0]} at {name[1]} in the simulator")
         try:
-            one = settle(problem, *_about(problem, context, fit, wholes, best), beyond=beyond)
+            one = settle(problem, *begin, beyond=beyond)
         except ComputationError as error:
             failure = error
-            continue
+            return
         if left_by(problem, one.y) + np.log(FAR_BEHIND) < beyond:
             best, beyond = one, left_by(problem, one.y) + np.log(FAR_BEHIND)
         if name == accepted.attempt.name or _sound(one, known.get(name)):
             settled[name] = one
+
+    contenders = _contenders(state, accepted)
+    for name, fit in contenders:
+        tried(name, _about(problem, context, fit.candidate.terms[-1], best) or (context, fit, wholes))
     if not settled:
         raise failure
+    for name in _ruled_out_elsewhere(state, best, {name for name, _ in contenders}):
+        score = known[name]
+        begin = _about(problem, context, score.shape.term(score.weights), best)
+        if begin is not None:
+            tried(name, begin)
     criteria, count = _criteria(problem, settled)
     first = min(criteria, key=criteria.__getitem__)
     without = count * left_by(problem, before)
@@ -96,15 +107,17 @@ def chosen(
     return dataclasses.replace(accepted, attempt=first_of, rivals=tuple(near[:MOST_RIVALS])), settled[first]
 
 
-def _about(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear, best: Settled | None):
-    """Context, refit and records for a law: in the linear plant about the runs of the best one so far, begun from where
-    that one ended, where these runs are near the records; else as they are.
+def _about(
+    problem: Problem, context: SearchContext, law: Term, best: Settled | None
+) -> tuple[SearchContext, Refit, Linear] | None:
+    """Context, refit and records for a law in the place of the best one so far: in the linear plant about the runs of
+    that one, begun from where it ended; None where these runs are not near the records.
 
     A plant about other runs may answer so differently that a law which explains as much seems hopeless.
     """
     if best is None or not problem.follow(best.y):
-        return context, fit, wholes
-    law, ended = fit.candidate.terms[-1], best.candidate.terms[-1]
+        return None
+    ended = best.candidate.terms[-1]
     ends = dict(zip((p.name for p in ended.effect.parameters), map(float, ended.values)))
     values = [ends.get(p.name, float(value)) for p, value in zip(law.effect.parameters, law.values)]
     term = Term(law.effect, law.place, law.effect.bounded(np.array(values)))
@@ -113,7 +126,21 @@ def _about(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     noise_model = noise_model_of(there, best.fit)
     found = [refit(best.linear, begin, there.data, noise_model, held=context.held) for begin in begins]
     found = [one for one in found if one is not None]
-    return (there, min(found, key=lambda one: one.cost), best.wholes) if found else (context, fit, wholes)
+    return (there, min(found, key=lambda one: one.cost), best.wholes) if found else None
+
+
+def _ruled_out_elsewhere(state: SearchState, best: Settled, tried: set[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Look-alikes of the best law that were ruled out in the linear plant, of which one is a law of a sensor and one of
+    the motion: that plant is about a single motion, and the two have others behind the same outputs."""
+    law, known = best.candidate.terms[-1].effect, state.first.best_by_place()
+
+    def elsewhere(name: tuple[str, str]) -> bool:
+        other = known[name].shape.effect
+        of_sensor = isinstance(other, AbstractOutputEffect) != isinstance(law, AbstractOutputEffect)
+        return of_sensor and resemble(other, law)
+
+    behind = [(one.effect, one.location) for one in state.rejected if one.reason in BEHIND]
+    return [name for name in behind if name in known and name not in tried and elsewhere(name)]
 
 
 def needless(

@@ -47,8 +47,9 @@ FIRST, MOVED, LARGEST = 2, 0.1, 1e6
 """Samples over which forces lead to a first state; by how much one moves a run, relative to it, and the most of them
 in units of that."""
 
-FLAT, CLOSE = 1.0, 0.06
-"""Fall of N ln(mean square) up to which a step was the last; and the one foretold up to which it is worth no run."""
+FLAT, CLOSE, SLOW = 1.0, 0.06, 0.1
+"""Fall of N ln(mean square) up to which a step was the last; the one foretold up to which it is worth no run; and the
+part of the fall to runs that follow the records up to which a step leads nowhere."""
 
 DAMPINGS, BY_OLD = (1e-3, 1e-1, 10.0), 1
 """Of steps that are tried, relative to the diagonal of the normal equations, where the one before did not go down; and
@@ -168,8 +169,15 @@ class _Window:
 
     def followed(self, y: Outputs, times: float = 1.0) -> bool:
         """Whether runs leave no more than what no motion explains, its white part, about; or so many times that."""
-        excess = (times * settings.STAND_IN_EXCESS) ** 2
-        return all(np.all(part.rmse**2 <= excess * white_part(part.e, part.kept)) for part in self.parts(y))
+        return self.above(y, times) <= 0.0
+
+    def above(self, y: Outputs, times: float = 1.0) -> float:
+        """N ln(mean square), summed over outputs, that runs leave above that."""
+        excess, above = (times * settings.STAND_IN_EXCESS) ** 2, 0.0
+        for part in self.parts(y):
+            ratio = part.rmse**2 / np.maximum(excess * white_part(part.e, part.kept), 1e-300)
+            above += float(part.kept.sum(axis=0) @ np.log(np.maximum(ratio, 1.0)))
+        return above
 
 
 @dataclass(frozen=True)
@@ -343,13 +351,13 @@ class _Fit:
     def begins_elsewhere(self, first: _Window) -> bool:
         """Whether records begin in another state than the simulator does: numbers alone leave what forces over the
         `first` samples take."""
-        if len(self.vector) > self.unknowns.count or not self.fresh:
+        if len(self.vector) > self.unknowns.count or not (self.fresh or self.slopes and self.window.above(self.y)):
             return False
         unknowns = self.unknowns.pushed(first, self.vector)
         size = len(self.vector) + sum(unit.size for unit in unknowns.units)
         vector = np.concatenate([self.vector, np.zeros(size - len(self.vector))])
         more = dataclasses.replace(self, unknowns=unknowns, vector=vector).sloped(known=len(self.vector))
-        if more is None:
+        if more is None or not more.leads():
             return False
         (H, g), count = more.normal(), len(self.vector)
         fall = foretold(H, g) - foretold(H[:count, :count], g[:count])
@@ -368,6 +376,8 @@ class _Fit:
                 if now is None:
                     return None
             ahead = now.down()
+            if ahead is not None and ahead.slower(now):
+                return None if exact else ahead
             flat = ahead is None or ahead.left > now.left - FLAT
             if flat and now.fresh:
                 # So short a step changes no slopes.
@@ -377,12 +387,24 @@ class _Fit:
                 now = dataclasses.replace(now, slopes=())
         return None if exact else now
 
+    def slower(self, before: "_Fit") -> bool:
+        """Whether the step from a fit `before` leads nowhere: hardly nearer to the records than that, and with slopes
+        that foretell no better."""
+        return before.left - self.left < SLOW * self.window.above(self.y) and not self.leads()
+
+    def leads(self) -> bool:
+        """Whether slopes foretell runs that follow the records, or half the way there."""
+        return self.window.above(self.foreseen()) <= self.window.above(self.y) / 2
+
     def promises(self) -> bool:
         """Whether slopes foretell runs that follow the records, about."""
+        return self.window.followed(self.foreseen(), PROMISE)
+
+    def foreseen(self) -> Outputs:
+        """Runs after a step, as slopes foretell them."""
         H, g = self.normal()
         step = pseudo_inverse(H, NOTHING) @ g
-        foreseen = tuple(y + S @ step for y, S in zip(self.y, self.slopes))
-        return self.window.followed(foreseen, PROMISE)
+        return tuple(y + S @ step for y, S in zip(self.y, self.slopes))
 
 
 def foretold(H: Float[np.ndarray, "unknowns unknowns"], g: Float[np.ndarray, " unknowns"]) -> float:

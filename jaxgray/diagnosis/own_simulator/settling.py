@@ -28,6 +28,9 @@ NEARER, HALF = 0.02, np.log(0.5)
 """Share of what is left by which a run must come nearer; and logarithm of the part of it that the next run must be
 foretold to leave at most, for numbers that do not explain all to be moved on."""
 
+WRONG = np.log(0.02)
+"""Logarithm of the part of what a run leaves by which the linear plant about it may be wrong in what it foretells."""
+
 CLOSED = 3
 """Runs that bring the forces of given laws along the simulator's own motion."""
 
@@ -115,10 +118,11 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         if (not closed, left) < first:
             best, first = Settled(again.candidate, again, linear, wholes, tuple(data), y, still), (not closed, left)
         best, nearest = dataclasses.replace(best, still=still), min(left, nearest)
-        # Each turn brings less than the one before, and not more than the linear plant about this run says.
+        # Each turn moves it less than the one before, and brings not more than the linear plant about this run says.
         there = foreseen_by(again, data)
         foretold.append(left_of(there))
-        hopeless, before = max(2 * left - before, foretold[-1]) > beyond, left
+        known = foretold[-1] > left + problem.record.outputs * WRONG
+        hopeless, before = max(nearest - abs(left - before), foretold[-1] if known else -np.inf) > beyond, left
         # What numbers alone do not explain in the linear plant is for a law to explain.
         lacking = not candidate.terms and turn > 0 and foretold[-1] > foretold[-2] + HALF and not is_white(there)
         if still or since == PATIENCE or hopeless or lacking:
