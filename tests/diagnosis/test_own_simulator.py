@@ -3,6 +3,7 @@ in them; and every way in which it can fail."""
 
 import dataclasses
 import os
+from types import SimpleNamespace
 
 import independent
 import numpy as np
@@ -14,6 +15,7 @@ import jaxgray
 from jaxgray.diagnosis.estimation.measured_motion import FORCES
 from jaxgray.diagnosis.model.candidate import Candidate
 from jaxgray.diagnosis.own_simulator import beginning
+from jaxgray.diagnosis.own_simulator.conclusions import _shifts
 from jaxgray.diagnosis.own_simulator.runs import tracking
 from jaxgray.diagnosis.own_simulator.runs.calls import Call, Simulator, checked_numbers
 from jaxgray.diagnosis.own_simulator.runs.linearized import linearized
@@ -396,7 +398,17 @@ def test_a_simulator_that_runs_with_no_numbers_asked_for_keeps_those_that_were_g
     monkeypatch.setattr(beginning, "_numbers_alone", lambda *given: None)
     found = jaxgray.diagnose(record, simulator=pendulum.simulator, parameters=numbers, only=["sensor_offset"])
     assert found.verdict == "unexplained" and [finding.effect for finding in found.findings] == ["unexplained"]
-    assert all(s.after == s.before for s in found.shifts)
+    assert all(s.after == s.before and s.standard_error is None for s in found.shifts)
+    assert found.excess > 2.0 and found.noise_floor_source == "white part of what is left"
+
+
+@pytest.mark.parametrize("unexplained", [False, True])
+def test_numbers_that_make_up_for_what_is_not_explained_have_no_errors(unexplained):
+    problem = SimpleNamespace(simulator=SimpleNamespace(names=("mass", "drag")), units=np.array([2.0, -1.0]))
+    numbers = SimpleNamespace(values=np.array([1.1, 3.0]), errors=np.array([0.01, 0.0]))
+    mass, drag = _shifts(problem, numbers, np.ones(2), unexplained)
+    assert (mass.before, mass.after, drag.after) == (2.0, 2.2, -3.0) and drag.standard_error is None
+    assert mass.standard_error == (None if unexplained else 0.02)
 
 
 def test_a_number_that_says_nothing_has_no_error():

@@ -12,9 +12,10 @@ from ..conclusions.candidates import gate_of, rejected_of
 from ..data_checks.record_findings import noise_findings
 from ..estimation.context import SearchContext
 from ..findings import Curves, Estimate, Finding, Gain, Member, ParameterShift
-from ..model.free_run import overall, rms_of
+from ..model.free_run import FreeRun, overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.floor import ADOPTED, independent_floor
+from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..search.state import SearchState
 from .necessary_numbers import Necessary, necessary
@@ -26,6 +27,9 @@ UNSETTLED = "The laws and numbers still moved in the last run of the simulator"
 
 MUCH_FARTHER = 2.0
 """Error, relative to that of the run that a force leads along the record, which is more than noise."""
+
+WHITE = "white part of what is left"
+"""Where the noise floor comes from if what is left is more than noise."""
 
 SURE = 5.0
 """Standard errors by which a record begins in another state than its run, for sure."""
@@ -56,7 +60,9 @@ def diagnosis_of(
     shown = given if elsewhere else baseline.y
     floor, source = independent_floor(records[0])
     unexplained = state.unexplained or _leaves_more(problem, settled, followed, floor, source)
-    floor = rms_of(parts_of(problem, settled.y)[0]) if floor is None else floor
+    if floor is None:
+        left = parts_of(problem, settled.y)[0]
+        floor, source = (_white_floor(left), WHITE) if unexplained else (rms_of(left), source)
 
     def gain(one: Outputs, other: Outputs) -> Gain:
         return gain_between(problem, context, one, other, given, floor)
@@ -111,7 +117,7 @@ def diagnosis_of(
         depends_on=(),
         rejected=rejected_of(context, state, records[0]),
         not_found=not_found_of(state.screening, context, records[0], accepted_names(state.accepted)),
-        shifts=_shifts(problem, numbers, start),
+        shifts=_shifts(problem, numbers, start, unexplained),
         budget=_budget([before, *(parts_of(problem, y) for y in steps)], state, floor, unexplained),
         next_experiment=None,
         warnings=warnings,
@@ -208,11 +214,17 @@ def _wrong(problem: Problem, numbers: Necessary, start: np.ndarray, gain: Gain) 
     return found
 
 
-def _shifts(problem: Problem, numbers: Necessary, start: np.ndarray) -> tuple[ParameterShift, ...]:
-    """Every number as it was given, and as it would be beside those that have to be other."""
+def _shifts(problem: Problem, numbers: Necessary, start: np.ndarray, unexplained: bool) -> tuple[ParameterShift, ...]:
+    """Every number as it was given, and as it would be beside those that have to be other; without an error where
+    numbers make up for what is `unexplained`."""
     values = zip(problem.simulator.names, start * problem.units, numbers.values * problem.units)
-    errors = [float(e) if e > 0 else None for e in numbers.errors * np.abs(problem.units)]
+    errors = [float(e) if e > 0 and not unexplained else None for e in numbers.errors * np.abs(problem.units)]
     return tuple(ParameterShift(name, float(old), float(new), error) for (name, old, new), error in zip(values, errors))
+
+
+def _white_floor(runs: list[FreeRun]) -> np.ndarray:
+    """Noise per output where what is left is more than that: its white part."""
+    return np.sqrt(np.mean([white_part(run.e, run.kept) for run in runs], axis=0)) + 1e-300
 
 
 def _budget(steps: list[Parts], state: SearchState, floor: np.ndarray, unexplained: bool) -> dict[str, float]:
