@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxgray.diagnosis.findings import Estimate, Finding, Member
+from jaxgray.diagnosis.findings import Estimate, Finding, Gain, Member
+from jaxgray.diagnosis.model.free_run import FreeRun
 from jaxgray.diagnosis.own_simulator import necessary_numbers
+from jaxgray.diagnosis.own_simulator.settling import left_of
 from jaxgray.diagnosis.words.sentences import _correction
 
 
@@ -19,6 +21,35 @@ def test_a_run_that_is_no_number_is_refused(monkeypatch, left, used):
     about = SimpleNamespace(layout=layout, theta=np.ones(2), count=2)
     fewer = necessary_numbers._Fewer(None, SimpleNamespace(candidate=None, fit=None), about, None)
     assert (fewer._moved(np.zeros(2), np.eye(2)) is not None) == used
+
+
+@pytest.mark.parametrize(
+    ("fit", "unseen", "sure", "missed"),
+    [
+        (0.05, 0.05, False, True),
+        (0.05, 0.001, False, False),
+        (0.05, 0.001, True, True),
+        (0.05, -0.05, False, False),
+        (0.001, 0.05, True, False),
+    ],
+)
+def test_a_number_is_missed_where_data_that_the_fit_has_not_seen_say_so(monkeypatch, fit, unseen, sure, missed):
+    """Shares by which runs without it leave more, in the data of the fit and in those held out; whether its gain is
+    sure."""
+    samples, e = 1000, np.random.default_rng(1).standard_normal((1000, 1))
+
+    def runs(settled_y):
+        made = [[FreeRun(e, share * e, np.ones(e.shape, bool))] for share in settled_y]
+        return made[0], made[1]
+
+    monkeypatch.setattr(necessary_numbers, "parts_of", lambda problem, y: runs(y))
+    monkeypatch.setattr(necessary_numbers, "left_by", lambda problem, y: left_of(runs(y)[0]))
+    about = SimpleNamespace(samples=samples, penalty=np.log(samples))
+    fewer = necessary_numbers._Fewer(None, None, about, None)
+    without, shown = (SimpleNamespace(y=y) for y in (np.sqrt([1 + fit, 1 + unseen]), (1.0, 1.0)))
+    lower = 1.0 if sure else -1.0
+    gain = Gain({}, 1.0, (lower, 2.0), lower, True)
+    assert fewer._missed(without, shown, gain) == missed
 
 
 def test_a_number_and_a_law_that_stand_for_one_another_are_both_told():

@@ -24,7 +24,7 @@ from ..model.free_run import rms_of
 from ..model.parameter_vector import Layout
 from .growing_parts import sharpened
 from .runs.problem import Outputs, Problem, parts_of
-from .settling import Settled, left_by, shown_by
+from .settling import Settled, left_by, left_of, shown_by
 
 APART = 0.2
 """Least share of what a number does that nothing else does, for slopes, right to a tenth, to tell them apart."""
@@ -240,9 +240,11 @@ class _Fewer:
         return tuple(one for _, one in sorted(near.values(), key=lambda one: one[0]))
 
     def _missed(self, without: Settled, shown: Settled, gain: Gain) -> bool:
-        """Whether runs without a number leave surely more."""
+        """Whether runs without a number leave surely more: of the data of the fit, and of others by what it gains there
+        or, of a number that explains little, by their likelihood."""
         evidence = self._left(without, shown) - self.about.penalty
-        return evidence >= settings.MIN_DELTA_BIC and unproven(gain) is None
+        beyond = settings.MIN_DELTA_BIC
+        return evidence >= beyond and (unproven(gain) is None or self._left_unseen(without, shown) >= beyond)
 
     def _worth(self, given: Bool[np.ndarray, " numbers"]) -> float:
         """What runs may leave more with these numbers as they were given."""
@@ -251,6 +253,11 @@ class _Fewer:
     def _left(self, one: Settled, other: Settled) -> float:
         """How much more runs leave than others, in units of the noise variance."""
         return self.about.samples * (left_by(self.problem, one.y) - left_by(self.problem, other.y))
+
+    def _left_unseen(self, one: Settled, other: Settled) -> float:
+        """The same on held-out data."""
+        here, there = (parts_of(self.problem, settled.y)[1] for settled in (one, other))
+        return sum(len(run.e) for run in here) * (left_of(here) - left_of(there)) if here else 0.0
 
     def _with(self, free: Bool[np.ndarray, " numbers"]) -> Settled | None:
         """What is settled with only some numbers moved; None where the simulator does not run so."""
