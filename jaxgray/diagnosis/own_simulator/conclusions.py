@@ -177,7 +177,7 @@ def _warnings(
 ) -> tuple[str, ...]:
     """What is to be known of the numbers; `elsewhere`: whether a record begins in another state than its run."""
     settled, names, warnings = numbers.settled, problem.simulator.names, []
-    if not settled.still:
+    if not settled.still and not unexplained:
         warnings.append(f"{UNSETTLED}: their errors may be larger than is said.")
     if elsewhere:
         warnings.append(
