@@ -3,6 +3,7 @@
 import ast
 import graphlib
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -13,7 +14,7 @@ import jaxgray
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FLOORS = sorted(path for path in (ROOT / "jaxgray").iterdir() if path.is_dir() and any(path.glob("*.py")))
-"""Their folders hold ten modules at most."""
+"""Their folders hold ten modules at most, and name all of them."""
 
 
 def test_imports_go_down_the_floors():
@@ -35,7 +36,10 @@ def test_rooms_of_a_floor_hold_few_modules(floor):
     folders = [floor, *(p for p in floor.rglob("*") if p.is_dir() and any(p.glob("*.py")))]
     held = {str(p.relative_to(ROOT)): sum(q.name != "__init__.py" for q in p.glob("*.py")) for p in folders}
     assert max(held.values()) <= 10, held
-    assert all(ast.get_docstring(ast.parse((p / "__init__.py").read_text())) for p in folders)
+    for folder in folders:
+        face = ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
+        inside = {q.stem for q in folder.iterdir() if q.suffix == ".py" or (q / "__init__.py").exists()}
+        assert inside - {"__init__"} <= set(re.findall(r"\w+", face)), folder
 
 
 @pytest.mark.parametrize(

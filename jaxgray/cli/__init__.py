@@ -1,6 +1,16 @@
 """The command `jaxgray`: every error is one line, and its exit code says whose it is.
 
 0 done, whatever the verdict; 2 wrong arguments or data; 3 the computation failed.
+
+arguments    the options, each declared once, in groups that commands share
+commands     the commands, one function each
+diagnosing   those about a diagnosis: `diagnose`, `effects`, `demo`
+fleet        the command for many records
+docs         the command for the manual
+schema       the command for the JSON Schema of documents
+files        reading records and models, and where results may go
+finishing    what all commands share at their end
+environment  what must be set before jax computes
 """
 
 import os

@@ -66,14 +66,14 @@ class Reading:
     input_units: Annotated[
         str | None, _option("--input-units", metavar="N,…", help="Units instead of those in the headers.")
     ] = None
-    output_units: Annotated[str | None, _option("--output-units", metavar="M,…", help="Likewise of the outputs.")] = (
+    output_units: Annotated[str | None, _option("--output-units", metavar="M,…", help="The same for the outputs.")] = (
         None
     )
     own_times: Annotated[
         bool | None,
         typer.Option(
             "--own-times/--uniform",
-            help="Whether rows keep the times of their column, empty cells not sampled (default: where it matters).",
+            help="Whether rows keep the times of their column; empty cells are then no samples (default: if needed).",
             show_default=False,
         ),
     ] = None
@@ -218,7 +218,7 @@ class Spacing:
 
     spacing: Annotated[
         str,
-        _option("--spacing", metavar="logarithmic|linear", help="Of the time constants, where none are given."),
+        _option("--spacing", metavar="logarithmic|linear", help="Spacing of the time constants, where none are given."),
     ] = "logarithmic"
 
 
@@ -253,7 +253,7 @@ class Exporting:
     ]
     sampling_time: Annotated[
         float | None,
-        _option("--sampling-time", metavar="SECONDS", help="Of the sampled system (default: that of the record)."),
+        _option("--sampling-time", metavar="SECONDS", help="That of the sampled system (default: of the record)."),
     ] = None
     hold: Annotated[
         str | None, _option("--hold", metavar="zero|linear", help="The input between samples (default: the record's).")
@@ -278,7 +278,7 @@ class Diagnosing:
         float | None,
         _option("--budget", metavar="SECONDS", help="End the search after this time, with the best found until then."),
     ] = None
-    seed: Annotated[int, _option("--seed", metavar="N", help="Of the random draws behind thresholds, intervals.")] = 0
+    seed: Annotated[int, _option("--seed", metavar="N", help="Seed of the draws behind thresholds and intervals.")] = 0
     experiment: Annotated[
         Path | None,
         _option("--experiment", metavar="OUT.csv", help="Write the input of the experiment that is proposed, if any."),
@@ -299,7 +299,7 @@ class OwnSimulator:
     ] = None
     parameters: Annotated[
         str | None,
-        _option("--parameters", metavar="NAME=X,…", help="The simulator's numbers; of a model or FMU their names."),
+        _option("--parameters", metavar="NAME=X,…", help="The simulator's numbers; of MJCF or an FMU, their names."),
     ] = None
     forces: Annotated[
         str | None,
@@ -328,14 +328,15 @@ class Fleet:
         int | None, _option("--workers", metavar="N", help="Processes of this machine (default: one a core).")
     ] = None
     scheduler: Annotated[
-        str | None, _option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler, instead of this machine.")
+        str | None,
+        _option("--scheduler", metavar="ADDRESS", help="Where a Dask scheduler runs, instead of here."),
     ] = None
     machine: Annotated[
         str | None,
-        _option("--machine", metavar="PATTERN", help="Of the file names, such as '{machine}_{when}.parquet'."),
+        _option("--machine", metavar="PATTERN", help="Pattern of the file names, such as '{machine}_{when}.parquet'."),
     ] = None
     when_column: Annotated[
-        str | None, _option("--when-column", metavar="COLUMN", help="When, instead of in the file name.")
+        str | None, _option("--when-column", metavar="COLUMN", help="Column that says when, instead of the file name.")
     ] = None
     covariates: Annotated[
         str | None, _option("--covariates", metavar="A,B", help="Columns such as a temperature, kept by their means.")
@@ -366,7 +367,7 @@ class Demonstrating:
     out: Annotated[
         Path | None, _option("--out", metavar="DIR", help="Write the records, the truth, the result and its page.")
     ] = None
-    seed: Annotated[int, _option("--seed", metavar="N", help="Of the inputs and the noise.")] = 1
+    seed: Annotated[int, _option("--seed", metavar="N", help="Seed of the inputs and the noise.")] = 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -165,7 +165,7 @@ def check_simulator(simulating: OwnSimulator, diagnosing: Diagnosing, excitation
     if (simulating.forces is not None) != files.is_fmu(simulating.simulator):
         raise ValueError(
             f"--forces={simulating.forces} with --simulator={simulating.simulator}: an FMU needs the names of its "
-            "inputs that are forces at the outputs, and nothing else takes them."
+            "inputs that are forces at the outputs, and no other simulator takes --forces."
         )
     if simulating.simulator is None and simulating.parameters is not None:
         raise ValueError("--parameters are those of a simulator; give --simulator FILE.py:FUNCTION as well.")

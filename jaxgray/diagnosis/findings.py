@@ -27,10 +27,10 @@ class Gain:
     """What a finding takes off the free-run error.
 
     `per_output`: name → (rmse before, rmse after); `percent` = 100 (RMSE before − after)/RMSE of the baseline, RMSE
-    over all outputs in units of their noise floors; `ci95`: of the gain on other records of the kind, by the jackknife
-    over long pieces and its difference to that on the data of the fit; `ci99_lower`: of the gain on this one, by block
-    bootstrap; `held_out`: whether the fit had not seen the data; `together`: how many findings gain it only together,
-    each an equal part.
+    over all outputs in units of their noise floors; `ci95`: interval of the gain on other records of the kind, from the
+    jackknife over long pieces and from its difference to the gain on the data of the fit; `ci99_lower`: of the gain on
+    this one, by block bootstrap; `held_out`: whether the fit had not seen the data; `together`: how many findings gain
+    it only together, each an equal part.
     """
 
     per_output: dict[str, tuple[float, float]]
@@ -166,8 +166,8 @@ class NotFound:
 
 @dataclass(frozen=True)
 class ParameterShift:
-    """An entry of M, D, K before and after the extension; or a number of a simulator as it was given, and as it is
-    where it has to be other, or would be if it alone were free beside those that have to."""
+    """An entry of M, D, K before and after the extension; or a number of a simulator as given, and as fitted: with all
+    that have to change, or, where it need not change, freed beside these."""
 
     name: str
     before: float

@@ -85,22 +85,22 @@ def begin(
         return static_diagnosis(
             records, held, drive, catalogue, max_effects, identification=identification, rng=rng, progress=progress
         )
-    in_step = identification is not None and may_come_into_step(identification)
-    if in_step and _fit(identification) >= settings.USELESS_FIT:
-        # What the force equation hears is asked for by the loop, and a free run that is poor may hear more.
+    converges = identification is not None and may_converge_in_phase(identification)
+    if converges and _fit(identification) >= settings.USELESS_FIT:
+        # The search asks the force equation for its laws, and a poor free run may show more than these.
         return identification
     if route == "force equation":
         try:
             search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
         except ComputationError as error:
             if identification is None:
-                # What is wrong with the record says the linear fit.
+                # The linear fit says what is wrong with the record.
                 raise failure from error
             return identification
-        # What the force equation does not hear, a free run may that is poor, but not without use; and what it hears
-        # may bring the free run of a body on a spring into step.
+        # A free run that is poor but of some use may show what the force equation does not; and with the laws of the
+        # force equation the free run of a body on a spring may converge in phase.
         useless = identification is None or _fit(identification) < settings.USELESS_FIT
-        if (search.taken or useless) and not (search.taken and in_step):
+        if (search.taken or useless) and not (search.taken and converges):
             return force_diagnosis(search, identification)
         return identification
     if failure is not None:
@@ -181,8 +181,8 @@ def by_accelerations(records: list[Record], options: dict) -> bool:
     return "acceleration" in records[0].measured or isinstance(drive_by(records[0], options), BaseAcceleration)
 
 
-def may_come_into_step(identification: Identification) -> bool:
-    """Whether the free run is poor, of a body on springs: with a law that is missing it may follow the record."""
+def may_converge_in_phase(identification: Identification) -> bool:
+    """Whether a body on springs has a poor free run, which a missing law may bring into phase with the record."""
     return bool(np.any(identification.stiffness)) and _fit(identification) < settings.POOR_FIT
 
 
@@ -198,7 +198,7 @@ def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | No
     search = None if sound or forces is None else forces()
     if search is None or not search.taken:
         return found
-    if found.extended is None and may_come_into_step(found.identification):
+    if found.extended is None and may_converge_in_phase(found.identification):
         return force_diagnosis(search, found.identification)
     own = (found.baseline if found.extended is None else found.extended).model
     # What else it has belongs to a record's clock, or to a sensor.

@@ -48,7 +48,7 @@ LARGE_RESIDUAL_SHARE = 0.3
 
 # Records that the linear model does not follow
 
-OUT_OF_STEP = 0.2
+OUT_OF_PHASE = 0.2
 """Share of the variance of an output from which what a free run leaves of it says that it does not follow the record
 (convention)."""
 

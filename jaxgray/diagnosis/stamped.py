@@ -1,4 +1,4 @@
-"""Records of rows at times of their own: diagnosed on the uniform records that stand for them, made anew about the
+"""Records of rows at times of their own: diagnosed on equivalent uniform records, which are computed again about the
 model that was found."""
 
 import dataclasses

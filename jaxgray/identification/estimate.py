@@ -80,7 +80,8 @@ def estimate(
 
     Filtered by λ-filters, compressed to one triangular factor, projected, realised, then M ≻ 0, D ⪰ 0, K ⪰ 0 by
     semidefinite least squares differentiated at their fixed point. Derivatives are those of subspaces and of least
-    squares, never of singular vectors: they stay right where singular values meet and where a matrix is on its edge.
+    squares, never of singular vectors: they stay correct where singular values coincide and where a matrix is on the
+    boundary of its cone.
 
     **Arguments:**
 

@@ -1,5 +1,5 @@
-"""Records of rows at times of their own: identified on the uniform records that stand for them, made anew until they
-rest."""
+"""Records of rows at times of their own: identified on equivalent uniform records, which are computed again until they
+no longer change."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -134,7 +134,7 @@ def note(record: Record, moved: float) -> str:
     """What is said of a record of rows at times of their own."""
     unsampled = [name for name, share in zip(record.output_names, record.missing.mean(axis=0)) if share > 0.1]
     rates = f" ({listed(unsampled)} sampled more rarely than the grid)" if unsampled else ""
-    rest = "" if moved < SAID else f"; at the end they moved by {moved:.2g} of the noise still"
+    rest = "" if moved < SAID else f"; in the last turn the outputs on the grid still moved by {moved:.2g} of the noise"
     return (
         f"The rows have times of their own, up to {record.stamps.jitter:.2g} samples off a uniform grid of "
         f"{record.sampling_time:.6g} s{rates}: simulated and fitted at these times{rest}."

@@ -153,8 +153,8 @@ def sweep(
 
     **Arguments:**
 
-    - `record`: one record, or several of the same system. Rows at times of their own are identified first, and the
-      uniform records that stand for them about that model swept.
+    - `record`: one record, or several of the same system. A record of rows at times of their own is identified first;
+      the sweep then uses the uniform record that this model gives in its place.
     - `time_constants`: τ [s], one or several; default ten from the record.
     - `block_rows`: i, one or several; default 4, 6, 8, 10 as the record allows.
     - `validation`: records that are simulated but not used; default none.

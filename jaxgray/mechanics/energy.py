@@ -119,8 +119,8 @@ def energy_balance(model: MechanicalModel, record: Record, *, x0=None) -> Energy
     **Arguments:** `model`; `record`, of which inputs, sampling time, hold and scheduling are taken; `x0`:
     displacements, then velocities of the coordinates at the first sample; default at rest.
 
-    **Returns:** an `EnergyBalance`; of the first part of a record that takes more than a million steps, two a sample
-    and more where the fastest mode has few samples in a period.
+    **Returns:** an `EnergyBalance`; only of the first part where a record would take more than a million integration
+    steps (two a sample, more where the fastest mode has few samples in a period).
 
     **Raises:** `ValueError` where the input is a measured base displacement, whose work takes the force on the base,
     or where the arguments do not fit; `ComputationError` where the motion grows without bound.

@@ -171,7 +171,7 @@ class MechanicalModel(AbstractMechanicalModel):
         force_noise_ratio=0.0,
         output_noise=None,
     ):
-        """One-step prediction; of linear models, unless `force_noise_ratio` is 0, which makes it the free run.
+        """One-step prediction, of linear models only; with `force_noise_ratio` 0 it is the free run, of any model.
 
         **Arguments:** `u`: a `Record`, or inputs; `y`, `sampling_time` [s]: only without a record; `hold`:
         default the record's, or "zero"; `x0`, `offset`, `force_noise_ratio`, `output_noise`: as for

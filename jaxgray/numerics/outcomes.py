@@ -13,7 +13,7 @@ class RESULTS(eqx.Enumeration):
 
     successful = ""
     too_short = (
-        "The record is too short for this many block rows. Use a longer record, fewer block rows, or a "
+        "The record is too short for what is to be estimated from it. Use a longer record, fewer block rows, or a "
         "lower sampling rate."
     )
     not_exciting = (
@@ -34,7 +34,7 @@ class RESULTS(eqx.Enumeration):
         "coordinate, and displacement where there is no stiffness."
     )
     unreachable = (
-        "An input does not reach every coordinate, so that its mass cannot be told from this record. Excite "
+        "The inputs do not reach some coordinate, so that its mass cannot be told from this record. Excite "
         "that coordinate too, give the input map, or fix the entries you know."
     )
     unstable_start = (
@@ -51,10 +51,6 @@ class RESULTS(eqx.Enumeration):
     not_improved = (
         "The refinement ended no better than its start, which is kept. Try another time constant, a longer record, or "
         "fix entries that you know."
-    )
-    no_inertia = (
-        "The record shows no inertia: the motion follows the force quasi-statically, so that mass and damping "
-        "cannot be told. Excite nearer to the natural frequencies."
     )
     simulator_failed = (
         "The simulator that was given gives no outputs that can be used. Run it with these inputs, mend it, or give "

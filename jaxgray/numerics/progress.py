@@ -24,7 +24,7 @@ class BudgetSpent(Exception):
 class Budgeted(AbstractProgress):
     """Told of stages until some seconds have passed since it was made, then refuses them.
 
-    **Arguments:** `told`: who hears of the stages; `seconds`, None for no limit.
+    **Arguments:** `told`: what is told of the stages; `seconds`, None for no limit.
 
     **Raises:** `BudgetSpent` by `stage`; `ended` is then the name of the first stage that was refused.
     """

@@ -1,4 +1,18 @@
-"""What was measured: records, files, findings before any model, and excitation."""
+"""What was measured: records, files, findings before any model, and excitation.
+
+record      the record, immutable
+read        from a file to a record
+readers     file formats, one a module
+channels    arrays, names, units and measured quantities made uniform
+clock       from a time column to a uniform grid
+stamped     samples at times of their own
+joining     several records of one system
+cleaning    samples that say nothing made missing
+periods     repetition of a signal, and averages over periods
+checks      findings before any model
+describe    a record on one screen
+excitation  inputs worth applying
+"""
 
 from jaxgray.records.checks.finding import RecordFinding as RecordFinding
 from jaxgray.records.checks.preflight import preflight as preflight

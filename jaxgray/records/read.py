@@ -84,8 +84,8 @@ def read_record(
     - `scheduling`: name of a column on which the system may depend; default none.
     - `delimiter`, `decimal`: of delimited text; default found in the file.
     - `input_units`, `output_units`: units instead of those in the headers.
-    - `own_times`: whether rows keep the times of their column. Empty cells were not sampled then, and inputs hold on
-        through them (or lie on straight lines, with a linear hold). Default where it matters; False: never.
+    - `own_times`: whether rows keep the times of their column. Empty cells then count as not sampled, and inputs keep
+      their last value there (or lie on straight lines, with a linear hold). Default where it matters; False: never.
     - `also`: columns of other files with time columns of their own, "camera.csv:x,y"; their rows join in, at times of
         their own. `inputs` and `outputs` name them like those of the first file.
 
@@ -106,7 +106,7 @@ def read_record(
     table, clock = _open(path, delimiter, decimal), None
     if also:
         if sampling_time is not None or scheduling is not None or own_times is False:
-            raise ValueError("also joins rows at times of their own; leave out sampling_time, scheduling, own_times.")
+            raise ValueError("also= joins rows at times of their own; leave out sampling_time, scheduling, own_times.")
         table, clock = joined(table, time, (also,) if isinstance(also, str) else also, inputs[0], _open)
         time, own_times = "t", True
     positions = {

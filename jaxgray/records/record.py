@@ -25,8 +25,8 @@ HOLDS = ("zero", "linear", "band-limited")
 class Record:
     """One record of inputs and outputs at a uniform sampling time, immutable.
 
-    A record of rows at times of their own (`Record.from_stamps`) has them as `stamps`, and its `u` and `y` are on a
-    uniform grid beside them; `identify` and `diagnose` go by the stamps.
+    Where rows have times of their own (`Record.from_stamps`), the record keeps them as `stamps`, and `u` and `y` hold
+    the channels on a uniform grid as well; `identify` and `diagnose` use the stamps.
 
     **Arguments:**
 
@@ -36,8 +36,8 @@ class Record:
     - `input_names`, `output_names`: names of the channels; default `u1`, `u2`, … and `y1`, `y2`, ….
     - `input_units`, `output_units`: units of the channels as text; default empty. Values stay in them.
     - `hold`: the input between samples, `"zero"` (constant, default), `"linear"`, or `"band-limited"`: measured behind
-        an anti-alias filter. Of a band-limited input the record keeps the samples between which straight lines move a
-        plant as it does; its `hold` is "linear" then.
+      an anti-alias filter. A band-limited input is stored as other samples, chosen so that straight lines between them
+      move a plant as the input does; `hold` is then "linear".
     - `measured`: what the outputs are, `"displacement"` (default), `"velocity"` or `"acceleration"`, one for
         all or one per output.
     - `scheduling`: one more channel `(samples,)` on which the system may depend; default none.
@@ -159,8 +159,8 @@ class Record:
         - `y`: outputs `(rows, outputs)`, NaN where a row has no sample.
         - `hold`: the input from a row to the next, `"zero"` (constant, default) or `"linear"`.
         - `sampling_time`: step of the grid in s; default by the rows, about their mean step.
-        - `clock`: number of the clock that gave each row its time, 0 for that of the inputs; default all 0. Any
-            other may run fast or slow and be set otherwise: `identify` estimates by how much.
+        - `clock`: number of the clock that gave each row its time, 0 for that of the inputs; default all 0. Any other
+          clock may have another rate and an offset: `identify` estimates both.
         - `more`: names, units and measured quantities, as for `Record`.
 
         **Returns:** a `Record` on a uniform grid, its rows in `stamps`.
@@ -186,7 +186,7 @@ class Record:
                 "put those of one time together."
             )
         if hold not in ("zero", "linear"):
-            raise ValueError(f"hold is {hold!r}; with times of their own rows have 'zero' or 'linear'.")
+            raise ValueError(f"hold is {hold!r}; for rows with times of their own give 'zero' or 'linear'.")
         if "scheduling" in more:
             raise ValueError("scheduling is a channel of uniform records; leave it out.")
         step = None if sampling_time is None else as_seconds("sampling_time", sampling_time)
@@ -196,7 +196,7 @@ class Record:
 
     @property
     def has_own_times(self) -> bool:
-        """Whether its rows count, at times of their own, and not the channels on the grid."""
+        """Whether its rows, at times of their own, are used instead of the channels on the grid."""
         return self.stamps is not None and self.stamps.counted
 
     @property
@@ -241,8 +241,8 @@ class Record:
 
     @property
     def lost(self) -> Bool[np.ndarray, "samples outputs"]:
-        """True where an output sample is missing that was due: not between the rows of an output at times of its
-        own."""
+        """True where an output sample that was due is missing; gaps between the rows of an output at times of its own
+        do not count."""
         return self.missing if self.stamps is None else self.missing & self.stamps.sampled(self.samples)
 
     @property
@@ -345,7 +345,7 @@ class Record:
         if not self.has_own_times:
             return replace(self, u=u, y=y)
         if degree:
-            raise ValueError("kind is 'linear'; of rows at times of their own only the 'constant' is taken out.")
+            raise ValueError("kind is 'linear'; for rows at times of their own give 'constant'.")
         off = (np.mean(self.u - u, axis=0), np.nanmean(self.y - y, axis=0))
         return replace(self, u=u, y=y, stamps=self.stamps.less(*off))
 

@@ -66,7 +66,7 @@ def gain_words(gain: dict | None) -> str:
     low, high = gain["ci95"]
     interval = "" if low is None or high is None else f" ({low:.1f} to {high:.1f})"
     count = gain.get("together", 1)
-    shared = f", one of {count} that gain together" if count > 1 else ""
+    shared = f", one of {count} that gain this together" if count > 1 else ""
     return f"{gain['percent']:.1f} %{interval}" + ("" if gain["held_out"] else ", in-sample") + shared
 
 
@@ -216,7 +216,7 @@ def candidates(document: dict) -> list[dict]:
                 below = None if member["delta_bic"] is None else finding["delta_bic"] + member["delta_bic"]
                 alike = finding["status"] == "equivalent"
                 status = "in the class" if alike else "rejected"
-                why = "this record cannot tell it from the finding" if alike else "stood in for the finding before"
+                why = "this record cannot tell it from the finding" if alike else "stood in for the finding earlier"
                 add(member, refit=below, parameters=member["parameters"], status=status, why=why)
     for one in document["rejected"]:
         add(one, parameters=one["parameters"], gain=one["gain"], status="rejected", why=one["why"])

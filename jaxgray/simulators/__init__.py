@@ -2,6 +2,7 @@
 
 mujoco   models of MuJoCo: joints as coordinates, actuators as inputs
 fmu      functional mock-up units: variables as inputs, outputs, forces and numbers
+mjcf     numbers of an MJCF, and laws written into it
 inputs   what both share
 """
 

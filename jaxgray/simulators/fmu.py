@@ -61,7 +61,7 @@ class FmuSimulator:
             )
         for name in (*self.inputs, *self.forces):
             if self._variable(name, "inputs and forces").causality != "input":
-                raise ValueError(f"{self.path}: {name!r} is no input of it; inputs and forces of a record must be.")
+                raise ValueError(f"{self.path}: {name!r} is no input of it; inputs of the record and forces must be.")
         for name in self.outputs:
             self._variable(name, "outputs")
         if numbers is None:
@@ -139,13 +139,13 @@ class FmuSimulator:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"it has {named(known)}."
-            raise ValueError(f"{self.path} has no variable {name!r}, as {what} of it must be by name; {hint}")
+            raise ValueError(f"{self.path} has no variable {name!r}; {what} are named as its variables are; {hint}")
         return known[name]
 
     def _start(self, name: str) -> float:
         variable = self._variable(name, "numbers")
         if not _is_number(variable):
-            raise ValueError(f"numbers: {name!r} of {self.path} is no parameter with a fraction and a start value.")
+            raise ValueError(f"numbers: {name!r} of {self.path} is no floating-point parameter with a start value.")
         return float(variable.start)
 
 

@@ -57,7 +57,7 @@ def found(model, element: str, name: str, where: str) -> int:
     kind = getattr(mujoco.mjtObj, f"mjOBJ_{element}")
     at = mujoco.mj_name2id(model, kind, name)
     if at < 0:
-        raise ValueError(f"{where}: there is no {name!r}, but {named(_names(model, element)) or 'none'}.")
+        raise ValueError(f"{where}: there is no {name!r}; the model has {named(_names(model, element)) or 'none'}.")
     return at
 
 

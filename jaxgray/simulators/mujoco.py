@@ -32,9 +32,9 @@ class MujocoSimulator:
     **Arguments:** `path` of the MJCF file; `record`, whose names of inputs and outputs are those of actuators and
     joints; `numbers`: names such as "elbow.damping", "forearm.mass", "motor.gear", "belt.stiffness" of a tendon, its
     "belt.backlash" (between the lengths at which it is slack), or "flange.payload" (a point mass [kg] at a site), with
-    a value each where it is a mapping; default damping and frictionloss of the joints of the outputs, what they have of
-    stiffness and armature, stiffness, damping and backlash of tendons that are springs, and a payload at a site of
-    every last link.
+    a value each where it is a mapping; by default damping and frictionloss of the joints of the outputs; their
+    stiffness and armature where they have any; stiffness, damping and backlash of tendons that are springs; and a
+    payload at a site of every last link.
 
     **Raises:** `ValueError` for a file that MuJoCo does not read, or that does not fit the record; `ImportError` with
     what to install where MuJoCo is missing.
@@ -114,8 +114,8 @@ class MujocoSimulator:
 
     @property
     def lead(self) -> float:
-        """By how much its steps let forces act early [s]: where a position ends up, the force of its step has acted for
-        half a step longer than that took; not so by Runge and Kutta."""
+        """Time [s] by which forces act early: the position at the end of a time step is as if the force had acted for
+        half a step longer; 0 with the Runge-Kutta integrator."""
         exact = self.model.opt.integrator == mjcf.library().mjtIntegrator.mjINT_RK4
         return 0.0 if exact else self.model.opt.timestep / 2
 
@@ -126,7 +126,7 @@ class MujocoSimulator:
         numbers: Mapping[str, float],
     ) -> Float[np.ndarray, "samples outputs"]:
         """Generalised momenta M(q) q̇ at some positions and velocities of the joints, [kg m²/s] of hinges and [kg m/s]
-        of slides. Steps of MuJoCo take the damping of joints where they end: half a step of it counts as mass."""
+        of slides. MuJoCo takes the damping of joints at the end of a time step: half a step of it counts as mass."""
         mujoco = mjcf.library()
         model, of = self.changed(numbers), np.empty((len(q), len(self.outputs)))
         data, made = mujoco.MjData(model), np.zeros(model.nv)
@@ -147,8 +147,8 @@ class MujocoSimulator:
         numbers: Mapping[str, float],
     ) -> tuple[Float[np.ndarray, "samples outputs"], Float[np.ndarray, "samples outputs"]]:
         """What changes these momenta, [N m] of hinges and [N] of slides: what goes with the motion (weight, centrifugal
-        forces, damping, friction, springs), and what the actuators do. Accelerations count for dry friction and stops
-        alone, which MuJoCo makes of them, too."""
+        forces, damping, friction, springs), and what the actuators do. Accelerations are used for dry friction and
+        stops alone, whose forces depend on them in MuJoCo, too."""
         mujoco = mjcf.library()
         model, made = self.changed(numbers), np.empty((2, len(q), len(self.outputs)))
         data, turned = mujoco.MjData(model), np.zeros(model.nv)
@@ -251,12 +251,12 @@ class MujocoSimulator:
 
     def _joints(self, model) -> tuple[np.ndarray, np.ndarray]:
         """Positions in qpos and in qvel of the joints of the outputs."""
-        ids = [mjcf.found(model, "JOINT", name, f"{self.path}: outputs are joints by name") for name in self.outputs]
+        ids = [mjcf.found(model, "JOINT", name, f"{self.path}: outputs are named as joints") for name in self.outputs]
         return np.array(model.jnt_qposadr)[ids], np.array(model.jnt_dofadr)[ids]
 
     def _actuators(self, model) -> np.ndarray:
         return np.array(
-            [mjcf.found(model, "ACTUATOR", name, f"{self.path}: inputs are actuators by name") for name in self.inputs]
+            [mjcf.found(model, "ACTUATOR", name, f"{self.path}: inputs are named as actuators") for name in self.inputs]
         )
 
 

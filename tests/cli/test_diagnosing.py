@@ -373,7 +373,7 @@ def test_a_simulator_that_is_not_there_is_said_to_be(capsys, tmp_path, records):
     fails(capsys, [*diagnose, "--simulated", ","], "--simulated is empty")
     fails(capsys, [*diagnose, "--parameters", "gain=1"], "--parameters are those of a simulator")
     fails(capsys, [*diagnose, "--simulator", "axis.fmu"], "an FMU needs the names of its inputs that are forces")
-    fails(capsys, [*given, "--forces", "push"], "nothing else takes them")
+    fails(capsys, [*given, "--forces", "push"], "no other simulator takes --forces")
     fails(
         capsys, [*diagnose, "--simulator", "axis.fmu", "--forces", "push"], "give the input that is the force at each"
     )

@@ -176,7 +176,7 @@ SEEDS = [[80441, 12, 0], [80441, 16, 5], [100010, 12, 17], [100004, 16, 3], [100
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_mass_that_puts_the_free_run_out_of_step_is_found_alone_and_with_friction(seed):
+def test_a_mass_that_puts_the_free_run_out_of_phase_is_found_alone_and_with_friction(seed):
     # Records of campaigns: 5 % of a mass had been said to be a step of it, friction to be wrong damping, the whole to
     # be noise at the forces or, beside friction, springs, and friction was off by 3.3 standard errors, for the steps.
     rng, size = np.random.default_rng(seed), {"dofs": (1, 2, 3), "samples": 3000}

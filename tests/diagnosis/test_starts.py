@@ -72,7 +72,7 @@ def test_a_law_begins_in_each_of_its_forms_at_its_own_place():
 
 
 @pytest.mark.slow
-def test_friction_that_takes_the_free_run_out_of_step_begins_with_the_force_equation():
+def test_friction_that_takes_the_free_run_out_of_phase_begins_with_the_force_equation():
     # Scores along the linear model's run lead to a wrong size and nothing that holds.
     rng = np.random.default_rng([201, 21])
     system, h, samples = draws.random_system(rng, 1), 0.01, 1500

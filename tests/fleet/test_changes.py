@@ -99,8 +99,8 @@ def test_machines_that_change_are_named_and_others_are_not(temperature):
     assert abs(step.relative - 0.01) < 4 * step.change.standard_error / 50
     assert wear.change.kind == "ramp" and abs(wear.change.begins - 25) <= 2
     assert abs(wear.change.size - 0.05 * 15) < 4 * wear.change.standard_error
-    assert "stiffness y1 of m3 rises since record 18" in step.sentence
-    assert "Coulomb friction at y1 of m5 begins and grows since record" in wear.sentence
+    assert "stiffness y1 of m3 rises from record 18 on" in step.sentence
+    assert "Coulomb friction at y1 of m5 begins and grows from record" in wear.sentence
 
 
 def test_outliers_and_trends_of_a_population():

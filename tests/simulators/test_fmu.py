@@ -52,11 +52,14 @@ def test_inputs_on_straight_lines_are_means_over_parts_of_a_sample(unit):
 @pytest.mark.parametrize(
     "change, said",
     [
-        ({"forces": ["pull"]}, "no variable 'pull', as inputs and forces of it must be by name; did you mean|it has"),
+        (
+            {"forces": ["pull"]},
+            "no variable 'pull'; inputs and forces are named as its .*; (did you mean|it has)",
+        ),
         ({"forces": ["angle"]}, "'angle' is no input of it"),
         ({"forces": []}, "give the input that is the force at each of them"),
         ({"numbers": ["gravty"]}, "did you mean 'gravity'"),
-        ({"numbers": ["angle"]}, "is no parameter with a fraction and a start value"),
+        ({"numbers": ["angle"]}, "is no floating-point parameter with a start value"),
     ],
 )
 def test_what_does_not_fit_is_named(unit, change, said):

@@ -284,11 +284,15 @@ def test_a_law_that_a_model_has_no_room_for_is_not_written(arm):
 def test_what_does_not_fit_is_said(arm, tmp_path):
     path, record = arm
     cases = (
-        (dataclasses.replace(record, output_names=("hip", "elbow")), None, "there is no 'hip', but shoulder, elbow"),
-        (dataclasses.replace(record, input_names=("m1", "m3")), None, "there is no 'm3', but m2, m1"),
+        (
+            dataclasses.replace(record, output_names=("hip", "elbow")),
+            None,
+            "'hip'; the model has shoulder, elbow",
+        ),
+        (dataclasses.replace(record, input_names=("m1", "m3")), None, "there is no 'm3'; the model has m2, m1"),
         (dataclasses.replace(record, sampling_time=0.003), None, "does not divide the sampling time 0.003 s"),
         (record, ["elbow.colour"], "'elbow.colour' is no number; give JOINT.damping"),
-        (record, ["wrist.damping"], "there is no 'wrist', but shoulder, elbow"),
+        (record, ["wrist.damping"], "there is no 'wrist'; the model has shoulder, elbow"),
         (jaxgray.Record(record.u, record.y[:, :1], H), None, "has 2 degrees of freedom, the record 1 outputs"),
     )
     for given, numbers, message in cases:

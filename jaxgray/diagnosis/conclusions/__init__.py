@@ -7,5 +7,6 @@ equation_error  result of the force equation
 static_gain     result of a static gain
 missing_force   the force that the model lacks, over displacement and velocity
 spectra         spectra of output, errors and noise
+physics         whether a model could be a machine: energy of its laws, passivity of its matrices
 next_experiment the record that would part what this one does not
 """

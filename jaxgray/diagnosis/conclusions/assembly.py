@@ -280,8 +280,8 @@ def open_scale(state: SearchState, setup: Setup, names: tuple[str, ...]) -> tupl
     laws = [title_of(t.effect.id, t.place.name, names) for k, t in enumerate(state.fit.candidate.terms) if k in owners]
     beside = f" beside {' and '.join(laws)}" if laws else ""
     return (
-        f"This record does not determine all of M, D, K{beside}: their standard errors leave out a direction in which "
-        "nothing shows. Fix an entry that you know.",
+        f"This record does not determine all of M, D, K{beside}: some change of several together moves no output, and "
+        "the standard errors leave it out. Fix an entry that you know.",
     )
 
 
@@ -290,6 +290,6 @@ def picked_up(state: SearchState, names: tuple[str, ...]) -> tuple[str, ...]:
     places = [a.attempt.name[1] for a in state.accepted if a.attempt.name[0] == "periodic_disturbance"]
     return tuple(
         f"A hum that the sensor {place_of(place, names)} picks up looks the same as a periodic force there. If the "
-        "force is larger than any that acts, it is one: switch off what hums, or filter the line."
+        "force is larger than any that acts there, it is a hum: switch off its source, or filter that frequency."
         for place in places
     )

@@ -57,10 +57,10 @@ def force_diagnosis(search: Search, identification: Identification | None) -> Di
         findings.append(Finding("unexplained", names[0], "unexplained", "model", (), {}, None, None))
     errors = search.error(search.base), search.error(search.fit)
     warnings = (
-        "No free run over the whole record is usable: decided in the force equation below "
+        "No free run over the whole record is usable: decided by the force equation below "
         f"{search.equation.series[0].band.high:.3g} Hz; fits and errors are those of free runs over windows of "
-        f"{window:.3g} s, the first state of each estimated.",
-        f"Relative force error where it moves: {errors[0]:.3g} before, {errors[1]:.3g} after.",
+        f"{window:.3g} s, with the first state of each estimated.",
+        f"Relative force error where the machine moves: {errors[0]:.3g} before, {errors[1]:.3g} after.",
         *warnings_of(search.brief_forces, [*search.records, *held], search.model(search.fit)),
     )
     noise = noise_findings(record, _padded(search.runs[0][0].e, record))

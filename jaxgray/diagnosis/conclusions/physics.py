@@ -67,7 +67,7 @@ def _mover(coordinate: int, names: tuple[str, ...]) -> str:
 
 
 NEGATIVE = {
-    "mass": "no body is.",
+    "mass": "no body has a negative mass.",
     "damping": "motion gains energy there by itself, as in chatter or flutter, or the cause is another.",
     "stiffness": "without its laws the model is unstable there.",
 }

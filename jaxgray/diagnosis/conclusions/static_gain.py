@@ -75,7 +75,7 @@ def static_diagnosis(
         last = selected.fit.cost
     rest = 100 * last / base.cost
     warnings = (
-        "The record says nothing of inertia: decided on a static gain; its model has no mass and no damping, and must "
+        "The record says nothing of inertia: decided by a static gain; its model has no mass and no damping, and must "
         "not be used for other frequencies.",
     )
     if any(isinstance(term.effect, AbstractInputEffect) for term in fit.terms):

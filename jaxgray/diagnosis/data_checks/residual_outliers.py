@@ -46,8 +46,8 @@ def standing_out(e: np.ndarray) -> np.ndarray:
     """Places of single samples, or two beside each other, far beyond what is usual and what is usual nearby; their
     neighbours are not.
 
-    A residual is about zero, so a sample is judged by itself. `records.defects.spikes` judges a moving signal by the
-    line between neighbours: it needs five good ones on each side, which the ends and outliers close by do not have.
+    A residual is about zero, so a sample is judged by itself. `records.checks.defects.spikes` judges a moving signal by
+    the line between neighbours: it needs five good ones on each side, which the ends and outliers close by do not have.
     """
     known = np.abs(e - np.nanmedian(e))
     usual = 1.4826 * np.nanmedian(known)
@@ -68,7 +68,7 @@ def standing_out(e: np.ndarray) -> np.ndarray:
 
 def _finding(name: str, count: int) -> Finding:
     who = f"1 sample of {name} is far off its" if count == 1 else f"{count} samples of {name} are far off their"
-    text = f"{who} neighbours in what the linear model leaves: left out."
+    text = f"{who} neighbours in the residual of the linear model: left out."
     return Finding(
         "outliers", name, "named", "record", (), {"count": Estimate(float(count), None, "")}, None, None, text
     )

@@ -25,6 +25,6 @@ def check_enough(records: list[Record], held: list[Record]) -> None:
         lost = 100 * np.mean(np.concatenate([np.isnan(record.y).ravel() for record in records]))
         raise ValueError(
             f"record: {lost:.0f} % of the outputs' samples are missing, and hardly anywhere are {AR_ORDER + 1} in "
-            "succession known of all outputs, without which the noise cannot be told from what the model lacks. Sample "
+            "a row known of all outputs, without which the noise cannot be told from what the model lacks. Sample "
             "all outputs at the same times, fill short gaps by interpolation, or leave an output out."
         )

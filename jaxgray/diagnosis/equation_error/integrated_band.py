@@ -1,7 +1,7 @@
 """The band of integrated accelerations, by how well measured motion explains itself there.
 
-Too low, and the noise of the integrals grows; too high, and the motion that a law sees is not in the band. What acts at
-once has power at all frequencies and passes for noise of a sensor, so that spectra alone set the lower end too high.
+Too low, and the noise of the integrals grows; too high, and the motion that a law sees is not in the band. Sudden
+forces have power at all frequencies and pass for noise of a sensor, so that spectra alone set the lower end too high.
 So the accelerations of all outputs are regressed on their own motion, the inputs and straight lines that stand in for
 laws, and the lower end is where this leaves the least of them.
 """

@@ -81,7 +81,7 @@ class Library:
             low, high = WIDER[0] * min(known), WIDER[1] * max(known)
             fine = np.geomspace(low, high, int(np.ceil(np.log(high / low) / np.log(FINE))) + 1)
             if effect.repeats:
-                # Beyond these, so near to one another that they go out of step by no more than a radian on the way.
+                # Beyond these, so near to one another that their phases part by no more than a radian on the way.
                 turns = np.arange(np.ceil(scales.q_peak / low), MOST_RADIANS)
                 fine = np.concatenate([scales.q_peak / turns[::-1], fine])
             grid = [_with(grid[0], lengths, length) for length in fine]

@@ -1,9 +1,9 @@
 """The diagnosis of records without a usable free run: decided in the force equation, judged on short windows.
 `first_trials` ranks the first law alone, as a start of refits by the free run.
 
-Laws are added one by one to E u = M q̈ + D q̇ + K q (`selection.py`). Among those that explain most of what the best one
-explains, a new law goes before one that shares a part with a law already in the model, and the one of the fewest
-parameters first.
+Laws are added one by one to E u = M q̈ + D q̇ + K q (`selection.py`). Among those that explain most of what the best
+one explains, laws that share no part with a law already in the model come first, and of these the one with the fewest
+parameters.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""The search in the force equation, told apart from forces that are not among the inputs."""
+"""The search in the force equation, without the samples at which forces act that are not among the inputs."""
 
 import numpy as np
 

@@ -30,8 +30,8 @@ class SearchContext:
     of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
     `forces`: gives what the force equation finds (None where it has no solution), where it may be asked;
     `first_trials`: gives its trials of the first law, where they only start refits; `trials_at_once`: whether those are
-    refitted with the first candidates, not only where these leave more than noise; `out_of_step`: whether the free run
-    is of no use unless what the force equation says brings it into step; `white`: whether the noise is taken for white
+    refitted with the first candidates, not only where these leave more than noise; `out_of_phase`: whether the free run
+    is of no use unless laws of the force equation bring it into phase; `white`: whether the noise is taken for white
     whatever a refit leaves, not estimated with it; `others`: gives linear models other than the best one, where there
     may be some.
     """
@@ -50,7 +50,7 @@ class SearchContext:
     forces: "Callable[[], Search | None] | None" = None
     first_trials: "Callable[[], list[Trial]] | None" = None
     trials_at_once: bool = False
-    out_of_step: bool = False
+    out_of_phase: bool = False
     white: bool = False
     others: "Callable[[], tuple[Candidate, ...]] | None" = None
 

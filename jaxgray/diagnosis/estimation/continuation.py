@@ -27,14 +27,14 @@ MOST_STEPS = 32
 EDGE_STEPS = 4
 """Steps per sample from which the beginning of a force is followed within one of them, not within a sample."""
 
-BEGUN_AGAIN = (from_other_thresholds, 25), (from_other_change_points, 25), (from_near_change_points, 8)
-"""How a refit that may have ended in a local optimum is begun again, and the most steps of every such refit."""
+RESTARTS = (from_other_thresholds, 25), (from_other_change_points, 25), (from_near_change_points, 8)
+"""How a refit that may have ended in a local optimum is restarted, and the most steps of every such refit."""
 
 
 def refit_to_convergence(context: SearchContext, fit: Refit) -> Refit:
     """A first refit carried to its end, whatever is noise at the forces told apart."""
     fit = along_the_valley(context, with_new_noise_models(context, fit))
-    for begun_again, steps in BEGUN_AGAIN:
+    for begun_again, steps in RESTARTS:
         other = begun_again(context, fit, max_steps=steps, tolerance=ROUGH)
         fit = fit if other is fit else with_new_noise_models(context, other)
     fit = at_fewer_thresholds(context, fit, max_steps=25, tolerance=ROUGH)

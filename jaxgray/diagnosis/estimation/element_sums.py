@@ -1,11 +1,11 @@
-"""Sums of elements with a threshold each, begun again from other thresholds.
+"""Sums of elements with a threshold each, restarted from other thresholds.
 
-Between two turning points of the record a threshold has little slope, and one element does for another what neither
-does alone: a refit ends where it began to look. Given M, D, K the elements are linear in their sizes, so the best few
-of many thresholds are chosen by least squares, and refitted from there.
+Between two turning points of the record the cost hardly depends on a threshold, and elements make up for one another: a
+refit ends near the thresholds from which it started. Given M, D, K the elements are linear in their sizes, so the best
+few of many thresholds are chosen by least squares, and refitted from there.
 
-Where a record needs fewer, the elements at hand do for one another in many ways, and none of them is determined: the
-size of each may be nothing, and where it is, its threshold means nothing. Elements at one threshold are one.
+Where a record needs fewer elements, they can replace one another in many ways, and none is determined: the size of each
+may be zero, and its threshold is then meaningless. Elements at one threshold are one.
 """
 
 import itertools

@@ -1,8 +1,9 @@
 """Starts along the measured motion: a law's force as a known series, M, D, K and the first state refitted beside it.
 
-Where the linear model took a law upon itself, its free run and that of the law with its M, D, K are both far from the
-record, and the cost between them and the optimum has many hills. The force that the law makes along the measured
-motion has no such hills: with it as an input the free run is linear, and M, D, K give back what they took.
+Where M, D, K of the linear model have absorbed a law, the free runs with these M, D, K, without the law and with it,
+are both far from the record, and the cost has many local maxima on the way to the optimum. The force that the law makes
+along the measured motion has no such hills: with it as an input the free run is linear, and M, D, K give back what they
+took.
 """
 
 import dataclasses

@@ -190,7 +190,7 @@ def _outright(
 
     def at_end(form):
         name, (score, fit) = form[0], going[form]
-        context.progress.stage(f"pursuing {name[0]} at {name[1]}")
+        context.progress.stage(f"refining {name[0]} at {name[1]}")
         return score, refit_to_convergence(context, fit)
 
     ends: dict[tuple[str, str], list[tuple[Score, Refit]]] = {}
@@ -290,7 +290,7 @@ def _beyond(context: SearchContext, base: _Base, scores: list[Score]) -> tuple[S
     if min(criterion for criterion, *_ in found) > most:
         words = f"explains no more than {base.score.shape.effect.id}, which it contains"
         return Rejected.of(name, scores[0].delta_bic, Refusal(Reason.NEEDLESS, words))
-    context.progress.stage(f"pursuing {name[0]} at {name[1]}")
+    context.progress.stage(f"refining {name[0]} at {name[1]}")
     # A start that is ahead after a few steps need not lead to the best end.
     ends = [(score, refit_to_convergence(context, fit)) for criterion, score, fit in found if criterion <= most]
     return _likeliest(context, ends)

@@ -1,4 +1,4 @@
-"""A law that ended in a local optimum, begun again from other values that explain more of the record.
+"""A law that ended in a local optimum, restarted from other values that explain more of the record.
 
 Where its shape has little slope between one value and the next, a refit ends where it began to look. Given M, D, K
 many values are scored by least squares, and the best are refitted.

@@ -6,6 +6,7 @@ simulator         free run and Jacobian of a candidate
 reversals         samples of accelerometers that no simulation of dry friction decides
 free_run          free run over data with a first state fitted to their head
 held_out_gain     gain of one free run over another, with its interval
+own_laws          laws that a given model has already
 baseline          the model that a diagnosis starts from
 compile_ahead     programs of a diagnosis compiled in a second thread
 """

@@ -17,7 +17,7 @@ from .candidate import Candidate, Setup
 from .own_laws import laws_of
 
 ADOPTED = "residual of the final model"
-"""Source of a noise floor where the record has none that owes nothing to a model."""
+"""Source of a noise floor where the record has none that depends on no model."""
 
 
 WRITTEN = 1e-5
@@ -86,8 +86,8 @@ def _check_physical(model: MechanicalModel) -> None:
         if one.kind == "negative":
             raise ValueError(
                 f"model: {one.matrix} is negative where mostly {model.coordinates[one.at[0]]} moves (eigenvalue "
-                f"{one.value:.3g} with its diagonal's masses as units); give M > 0, D ≥ 0, K ≥ 0, and what pushes as "
-                "an effect of the model."
+                f"{one.value:.3g} with the masses on the diagonal as units); give M > 0, D ≥ 0, K ≥ 0, and what "
+                "pushes as an effect of the model."
             )
         (i, j), effects = one.at, {"damping": "gyroscopic_coupling", "stiffness": "circulatory_coupling"}
         rest = f", and the rest as {effects[one.matrix]} among its effects" if one.matrix in effects else ""

@@ -2,8 +2,8 @@
 
 The first is asked of the record at hand: a bootstrap over many short pieces of it. The second is asked of records with
 other inputs of the same kind. Pieces longer than the motion remembers stand for them, and a lightly damped motion
-remembers long: short pieces would make the interval three times too narrow. What differs from record to record, and not
-within one, shows in how far the gain on the data of the fit is from this one.
+remembers long: short pieces would make the interval three times too narrow. What differs between records, but not
+within one, shows in the difference of this gain to the gain on the data of the fit.
 """
 
 import numpy as np

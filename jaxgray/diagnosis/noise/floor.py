@@ -1,4 +1,4 @@
-"""The noise floor that owes nothing to a model, and the size of a residual."""
+"""The noise floor that does not depend on a model, and the size of a residual."""
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,7 @@ TRUSTED_PERIODS = 2
 
 
 def independent_floor(record: Record) -> tuple[Float[np.ndarray, " outputs"] | None, str]:
-    """Noise floor that owes nothing to any model, and where it comes from.
+    """Noise floor that depends on no model, and where it comes from.
 
     From what does not repeat over the periods of a periodic record, or from a quiet head; None where neither is there.
     """

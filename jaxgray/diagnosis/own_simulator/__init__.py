@@ -11,9 +11,10 @@
     force_balance      its balance of forces along the measured motion, where no run follows the record
 
 A law is looked for in a linear plant P that answers as the simulator does to small forces. Its input is not the
-record's: it is what gives the motion of the simulator, and less by the force that the simulator lacks. So its run is
-the record less P times the lacking force, and whatever P is, the law that makes this force along the measured motion
-explains all of it. What is found is put into the simulator as the force of its own motion there.
+record's: it is the force under which P moves as the simulator does, less the force that the simulator lacks. So its run
+is the record less P times the lacking force, and whatever P is, a law that makes this force along the measured motion
+explains the whole residual. A law that is found is then run in the simulator itself, where its force follows from the
+simulator's own motion.
 """
 
 from .search import diagnose_simulator

@@ -1,7 +1,7 @@
 """Where laws are looked for in a simulator: its linear plant about a run that is near the records, and its numbers.
 
-Of a run that is near, forces along the records say what the numbers are; of one that is far, first numbers alone over
-parts of the records that grow, then forces that lead it there.
+Where its run is near, forces along the records give the numbers; where it is far, the numbers alone are fitted first,
+over growing parts of the records, and forces then lead the run there.
 """
 
 import contextlib

@@ -181,13 +181,15 @@ def _warnings(
         warnings.append(f"{UNSETTLED}: their errors may be larger than is said.")
     if elsewhere:
         warnings.append(
-            "The record does not begin where the simulator does: its first state was fitted, to first order; put it "
-            "among the numbers where it is large."
+            "The record does not begin where the simulator does: the first state of the record was fitted, to first "
+            "order. Where the difference is large, make the first state one of the simulator's numbers."
         )
     moved = np.abs(numbers.values - start) > 3 * np.maximum(numbers.errors, 1e-12)
     if unexplained and np.any(moved):
         which = listed(name for name, one in zip(names, moved) if one)
-        warnings.append(f"Beside what is not explained, {which} would be other: no finding, since they make up for it.")
+        warnings.append(
+            f"A part stays unexplained, and the fit changes {which} to make up for some of it: that is no finding."
+        )
     loose = settled.fit.undetermined[: len(start)] | settled.linear.setup.held
     if np.any(loose):
         which = listed(name for name, one in zip(names, loose) if one)

@@ -1,10 +1,10 @@
 """Numbers fitted by runs of the simulator itself, over parts of the records that grow.
 
-Where a motion hangs sharply on the numbers (contact, backlash, an arm that turns over and over), a linear plant about
-one run does not foretell another, and the sum of squares over a whole record has many minima. Over a short part it has
-one, and from there the fit of a longer part begins. A part that numbers alone do not follow ends it. The simulator runs
-no further than a part; slopes are taken from its runs by differences where those of the steps before lead nowhere, and
-a run that a step leads too far says how the way bends.
+Where a motion depends sharply on the numbers (contact, backlash, an arm that turns over and over), a linear plant about
+one run does not predict another, and the sum of squares over a whole record has many minima. Over a short part it has
+one, and from there the fit of a longer part begins. The growth ends at the first part that numbers alone do not follow.
+The simulator runs no further than a part; its Jacobian is taken by finite differences where that of the steps before
+leads nowhere, and a run after too long a step gives the curvature of the path.
 
 **Reference:** Bock, *Recent advances in parameter identification techniques for ODE* (1983), for windows in place of
 the whole record; here one window grows. Broyden, *A class of methods for solving nonlinear simultaneous equations*,

@@ -1,9 +1,9 @@
 """The fewest of a simulator's numbers that have to be other, and which of them stand for one another.
 
 A record may determine a sum of two numbers (the damping on either side of a stiff gear) far better than each of them:
-none of the two is off for sure, though one of them is. So numbers go back to what they were given as, one after the
-other, the one first that the record misses least, until every further one would be missed; the rest of the fit moves
-along, to first order. The last ones are asked of the simulator itself: what it leaves with a number as it was given,
+none of the two is off for sure, though one of them is. So numbers are reset to what they were given as, one after the
+other, the one that the record misses least first, until the record would miss any further one; the rest of the fit is
+adjusted to first order. The last ones are asked of the simulator itself: what it leaves with a number as it was given,
 and what it gains on held-out data by moving it. Where another number serves in the place of one as well, this record
 does not tell them apart.
 """

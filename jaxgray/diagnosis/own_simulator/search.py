@@ -222,7 +222,7 @@ def _check_repeatable(problem: Problem, runs: Runs) -> None:
     again = simulator.run(call)
     far = float(np.max(np.abs(again - y)))
     if far > REPEATED * float(np.std(runs.y[0])):
-        detail = f"it gave outputs that differ by {far:.3g} for the same inputs; it must begin anew, without chance"
+        detail = f"it gave outputs that differ by {far:.3g} for the same inputs; no run may depend on another"
         raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
 
 

@@ -223,6 +223,6 @@ def refit_of_numbers(context: SearchContext, candidate: Candidate) -> Refit:
     white = white_noise_model(e, data.kept, sampled_plant(linear.plant(candidate), data, linear.setup.outputs))
     fit = refit(linear, candidate, context.data, white, held=context.held)
     if fit is None:
-        detail = "the linear plant that stands for it about the record runs away"
+        detail = "the linear plant that stands for the simulator about the record diverges"
         raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
     return fit

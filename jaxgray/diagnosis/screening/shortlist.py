@@ -71,7 +71,7 @@ def shortlist(screening: Screening, closer: Screening) -> list[list[Score]]:
         inside = any((simpler, key[1]) in simple for simpler in score.shape.effect.contains)
         if inside and key not in chosen and score.delta_bic > settings.MIN_DELTA_BIC:
             chosen[key] = []
-    # What a law may turn out to be must not go unheard.
+    # Laws that one of these may turn out to be are candidates as well.
     turns = {
         (law, key[1]) for table in tables for key in table if key in chosen for law in table[key].shape.effect.becomes
     }

@@ -103,10 +103,10 @@ def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: 
     if (why := unproven(gain)) is not None:
         return why, gain, None
     if state.provisional is not None:
-        lent = state.accepted[-1].runs
-        more = gain_of(lent, runs, state.baseline_runs, floor, names, **options)
+        before = state.accepted[-1].runs
+        more = gain_of(before, runs, state.baseline_runs, floor, names, **options)
         if unproven(more) is not None:
-            why = "no sure gain on held-out data beyond that of what was lent its place"
+            why = "no sure gain on held-out data beyond that of the provisional finding"
             return Refusal(Reason.NO_SURE_GAIN, why), more, None
     return None, gain, runs
 

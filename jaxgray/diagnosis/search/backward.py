@@ -1,8 +1,8 @@
 """What newer findings make of the older: laws that are part of a wider one, terms that are needless now, and laws that
 a simpler one can stand for.
 
-The newest may be the needless one: where the others had not come to their best values, any law that is refitted with
-them brings them there, and has the credit.
+The newest may be the needless one: where the others were not yet at their best values, a refit together with any law
+brings them there, and that law gets the credit.
 """
 
 import dataclasses

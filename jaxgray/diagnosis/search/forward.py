@@ -67,8 +67,8 @@ def select_forward(
 
 
 def extend(context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]) -> None:
-    """Rounds of looking and accepting, until nothing more is found, `most` effects were, or the time is over; what was
-    only lent goes."""
+    """Rounds of looking and accepting, until nothing more is found, `most` effects were, or the time is over; findings
+    that are still provisional then go."""
     with contextlib.suppress(BudgetSpent):
         _rounds(context, state, most, searched)
     revert_provisional(state)
@@ -91,7 +91,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     state.screening = screening
     state.first = screening if state.first is None else state.first
     state.unexplained = screening.fires
-    if context.out_of_step and not state.stage.candidate.terms and force_equation_finds(context):
+    if context.out_of_phase and not state.stage.candidate.terms and force_equation_finds(context):
         state.unexplained = True
         first = from_forces(context, state.stage, screening) if left > 0 else []
         return 1 if _accepted(context, state, first, Move.FORCE_EQUATION) else None
@@ -99,7 +99,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     if not _tried_by_forces(context, state, left) and not screening.fires and not strong(screening):
         closer = behind_the_noise(context, state.stage, screening)
         if closer is None and wrong_entries(context, state.stage, screening, least=settings.CLEAR_DELTA_BIC):
-            # A run that is out of step shows no entry to first order, and all it leaves passes for noise at the forces.
+            # A run out of phase shows no entry to first order, and all that it leaves passes for noise at the forces.
             closer = closer_screening(context, state.stage, screening)
         if closer is None:
             found = left > 0 and (
@@ -137,14 +137,14 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
             return 1
     refuted = screening.fires and _refuted(context, state, ranked, searched)
     state.unexplained = screening.fires and not refuted
-    # What is lent its place needs another round to redeem it.
+    # A provisional finding needs another round, in which a second one may confirm it.
     return 1 if not refuted and left > 1 and _provisional(context, state, ranked) else None
 
 
 def _tried_by_forces(context: SearchContext, state: SearchState, left: int) -> bool:
-    """Whether the force equation has trials of a first law, and the free run is out of step: then all that is left may
+    """Whether the force equation has trials of a first law, and the free run is out of phase: then all that is left may
     pass for noise."""
-    first = left > 0 and context.trials_at_once and context.out_of_step and not state.stage.candidate.terms
+    first = left > 0 and context.trials_at_once and context.out_of_phase and not state.stage.candidate.terms
     return first and context.first_trials is not None and bool(context.first_trials())
 
 
@@ -241,7 +241,7 @@ def _accepted(
 
 
 def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> None:
-    """Go on with a finding that holds, and with those on credit that it redeems."""
+    """Go on with a finding that holds, and with the provisional ones that it confirms."""
     state.accepted.append(accepted)
     state.fit, state.runs = accepted.attempt.fit, accepted.runs
     state.stage = stage_of_candidate(context, state.fit.candidate)
@@ -254,7 +254,7 @@ def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> Non
 
 def _provisional(context: SearchContext, state: SearchState, ranked: list[Attempt]) -> bool:
     """Whether to go on with the best candidate that nothing but its gain speaks against: it holds refitted for the free
-    run, or is lent its place."""
+    run, or is accepted provisionally."""
     if not may_be_provisional(state, ranked):
         return False
     floor = floor_of(context, ranked)

@@ -1,10 +1,10 @@
 """The search on a part of a record; every reported number is refitted on all of it.
 
-Evidence grows with the samples, and so does the time of every trial: of long records a part is searched, and one four
-times as long, up to the whole, where it shows nothing. What belongs to the clock of a record, such as a step of
-stiffness, is looked for in the whole.
+Evidence grows with the samples, and so does the time of every trial: of long records a part is searched first and,
+where it shows nothing, one four times as long, up to the whole. What belongs to the clock of a record, such as a step
+of stiffness, is looked for in the whole.
 
-A strong effect takes the free run of the linear model out of step with the record, and scores about it then name
+A strong effect takes the free run of the linear model out of phase with the record, and scores about it then name
 anything: there the trials of the force equation count, whatever the gate says.
 """
 
@@ -79,7 +79,7 @@ def search(
         size *= LONGER
     if context.first_trials is not None and context.trials_at_once:
         missed = missed_share(context.simulator, start, context.data[0])
-        context = dataclasses.replace(context, out_of_step=missed >= settings.OUT_OF_STEP)
+        context = dataclasses.replace(context, out_of_phase=missed >= settings.OUT_OF_PHASE)
     state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))
     return state, Searched(context, state, None)
 

@@ -1,8 +1,9 @@
-"""Findings on credit: the first of two that gain something only together.
+"""Provisional findings: the first of two that gain something only together.
 
 Where another effect is still missing, its traces pass for noise at the forces, or for colour at the outputs. Under such
-noise a refit follows the record step by step, and what it finds, right as it may be, brings no free run nearer. It is
-lent its place until a later finding redeems it, by a sure gain of both over the model before them, or it is withdrawn.
+noise a refit follows the record step by step, and what it finds, right as it may be, brings no free run nearer. It
+stays in the model provisionally, until both it and a later finding have a sure gain over the model before them, or
+the search ends and it is withdrawn.
 """
 
 import dataclasses
@@ -24,9 +25,9 @@ STEPS = 20
 
 
 def may_be_provisional(state: SearchState, ranked: list[Attempt]) -> bool:
-    """Whether a finding may be lent its place: something is clearly there, under noise that another effect may be."""
-    lent = 0 if state.provisional is None else len(state.accepted) - state.provisional.sure
-    if not ranked or lent >= settings.MAX_PROVISIONAL or not ranked[0].delta_bic > settings.CLEAR_DELTA_BIC:
+    """Whether a finding may be accepted provisionally: something is clearly there, in noise that may be an effect."""
+    count = 0 if state.provisional is None else len(state.accepted) - state.provisional.sure
+    if not ranked or count >= settings.MAX_PROVISIONAL or not ranked[0].delta_bic > settings.CLEAR_DELTA_BIC:
         return False
     return something_left(ranked[0].noise_model)
 
@@ -68,7 +69,7 @@ def accept_provisionally(
 
 
 def revert_provisional(state: SearchState) -> None:
-    """Take back what was lent and never redeemed."""
+    """Withdraw provisional findings that no later one has confirmed."""
     provisional, state.provisional = state.provisional, None
     if provisional is None:
         return

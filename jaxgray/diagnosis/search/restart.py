@@ -3,9 +3,9 @@
 As it stands, under white noise: where a law was still missing, its traces passed for noise at the forces, and under
 such noise a refit follows the record step by step and hardly asks where the free run goes.
 
-From the record's own modes, where the first linear model was poor: what is hidden may bend the best M, D, K so far (a
-sensor that lags, a sweep) that a refit with the right effect ends in another minimum. The modes are hardly touched by
-it.
+From the record's own modes, where the first linear model was poor: the missing effect may distort the best M, D, K so
+much (a sensor that lags, a sweep) that a refit with the right effect ends in another minimum. The modes are hardly
+touched by it.
 """
 
 import dataclasses

@@ -34,8 +34,8 @@ class Accepted:
 
 @dataclass(frozen=True)
 class Provisional:
-    """Where the loop was before findings were lent their place: `stage`, its `fit`, the `screening` there, whether it
-    left something `unexplained`, and how many findings were `sure`."""
+    """Where the search was before findings were accepted provisionally: `stage`, its `fit`, the `screening` there,
+    whether it left something `unexplained`, and how many findings were `sure`."""
 
     stage: Stage
     fit: Refit | None
@@ -67,7 +67,7 @@ class SearchState:
 
     @property
     def sure(self) -> Stage:
-        """The model without findings on credit."""
+        """The model without provisional findings."""
         return self.stage if self.provisional is None else self.provisional.stage
 
 

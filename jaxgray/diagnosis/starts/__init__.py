@@ -5,6 +5,7 @@ force_matching  a law that imitates the force of another
 lookalikes      confusable laws from the best one's end
 equation_error  laws that the force equation finds, or tries first, with its M, D, K
 multiple_shooting  refits to windows of a record together
+other_models    laws about other linear models of the record than the best one
 residual_modes  hidden modes from the lines of the residual
 windows         changes of a parameter over time, from linear models of the windows of a record
 """

@@ -1,6 +1,6 @@
 """Laws that the force equation finds where the free run of the linear model is too far off to tell any.
 
-Scores are of first order about the linear model, and a strong effect takes its free run out of step with the record:
+Scores are of first order about the linear model, and a strong effect takes its free run out of phase with the record:
 what is left then passes for noise, or for anything. The force equation asks for no motion but the measured one. What
 it finds, or its trial of a first law, begins with its M, D, K and its sizes, and is refitted by the free run and judged
 as any other law.
@@ -26,7 +26,7 @@ from ..screening.shortlist import begun_at
 from .multiple_shooting import over_windows, squares_left
 
 STEPS = 25
-"""Of the first refit, which has to bring the free run into step."""
+"""Of the first refit, which has to bring the free run into phase."""
 
 MAX_TRIALS = 2
 """Trials of the first law that are refitted, in order, until the free run follows one."""
@@ -76,7 +76,7 @@ def _refitted(
     context: SearchContext, stage: Stage, screening: Screening, trial: Trial, windows: bool
 ) -> Attempt | None:
     """A trial refitted by the free run; None where that does not follow it. `windows`: over windows first where the run
-    is out of step, or no nearer with the trial."""
+    is out of phase, or no nearer with the trial."""
     effect, place = trial.name
     noise_model = white_noise_model(stage.e, context.data[0].kept, stage.system)
     left = float(np.sum(np.where(context.data[0].kept, stage.e, 0.0) ** 2))
@@ -88,17 +88,17 @@ def _refitted(
     begin = _begun(context, stage.candidate, trial)
     if windows:
         near = squares_left(context, begin, noise_model) < squares_left(context, stage.candidate, noise_model)
-        if context.out_of_step or not near:
+        if context.out_of_phase or not near:
             begin = over_windows(context, begin, trial.equation.series[0], noise_model)
     options = {"held": context.held, "tolerance": ROUGH}
     fit = refit(context.simulator, begin, context.data, noise_model, max_steps=0, **options)
     if fit is None:
         return None
-    # Out of step as it still is, what is left passes for noise at the forces, and less and less of it does.
+    # Out of phase as it still is, what is left passes for noise at the forces, and less and less of it does.
     fit = refit(context.simulator, begin, context.data, noise_model_of(context, fit), max_steps=STEPS, **options)
     if fit is None or not float(np.sum(fit.residual[0] ** 2)) < settings.MAX_START_POWER * left:
         return None
-    context.progress.stage(f"pursuing {effect} at {place}")
+    context.progress.stage(f"refining {effect} at {place}")
     end = refit_to_convergence(context, fit)
     begun = begun_at(score, np.asarray(begin.terms[-1].values, float))
     return by_contact(context, Attempt(begun, end, noise_model_of(context, end)), stage)

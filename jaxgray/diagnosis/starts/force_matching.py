@@ -1,4 +1,4 @@
-"""Laws that were left behind, begun again where they push as the best law does.
+"""Laws that were left behind, restarted where their force is nearest to that of the best law.
 
 A strong effect takes a linear model far away: a law refitted from there may end in another optimum while one that can
 imitate it finds the way. Then the law that is right begins where the other ended. What its force leaves of the other's
@@ -27,7 +27,7 @@ SAME_ARM = 0.02
 """Difference of two arms, one of which may have been estimated, that is none."""
 
 NEARBY = 3
-"""Laws that are begun again at most."""
+"""Laws that are restarted at most."""
 
 
 def force_matched(

@@ -20,7 +20,7 @@ def untried_look_alikes(
 ) -> list[list[Score]]:
     """Candidates of the given laws, each at the place where it explains most, with the shapes to start from.
 
-    Of the laws that differ in their name alone, one is heard at a place; `tried`: laws and places of the round so far.
+    Of the laws that differ in their name alone, one is tried at a place; `tried`: laws and places of the round so far.
     """
     listed, contacts = [], {place for law, place in tried if law in settings.CONTACT}
     for effect_id in sorted(ids):
@@ -134,6 +134,6 @@ def _from_best(
 
 
 def _at_end(context: SearchContext, stage: Stage, score: Score, fit: Refit) -> Attempt:
-    context.progress.stage(f"pursuing {score.shape.effect.id} at {score.shape.place.name}")
+    context.progress.stage(f"refining {score.shape.effect.id} at {score.shape.place.name}")
     end = refit_to_convergence(context, fit)
     return by_contact(context, Attempt(score, end, noise_model_of(context, end)), stage)

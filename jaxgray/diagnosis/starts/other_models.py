@@ -1,9 +1,9 @@
 """Laws begun from other linear models of the record than the best one.
 
-What is missing bends a linear model until its free run is as near as it can be, and where its structure is known that
-may be far from the truth: a mass that nothing measures becomes the wall, or nothing. A model whose transfer function
-agrees with some realisation of the record is farther off in its free run and nearer in its numbers. Laws are looked for
-about it as about the best one, and all refits are compared with each other.
+A missing law distorts a fitted linear model until its free run is as near as it can be, and where its structure is
+known that may be far from the truth: a mass that nothing measures becomes very large, or zero. A model whose transfer
+function agrees with some realisation of the record is farther off in its free run and nearer in its numbers. Laws are
+looked for about it as about the best one, and all refits are compared with each other.
 """
 
 from ..estimation.context import SearchContext, stage_of_candidate

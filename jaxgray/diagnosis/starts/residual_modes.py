@@ -49,7 +49,7 @@ def hidden_modes(
                 best[name] = fit
 
     def ended(name):
-        context.progress.stage(f"pursuing {name[0]} at {name[1]}")
+        context.progress.stage(f"refining {name[0]} at {name[1]}")
         end = refit_to_convergence(context, best[name])
         return Attempt(listed[name], end, noise_model_of(context, end))
 

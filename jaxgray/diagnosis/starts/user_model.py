@@ -1,6 +1,6 @@
 """Which numbers of a user's model are wrong: begun from the model that the record itself gives.
 
-A frequency that is a little wrong puts a free run out of step, and no small change of the wrong entry seems to help.
+A frequency that is a little wrong puts a free run out of phase, and no small change of the wrong entry seems to help.
 Near the identified model θ̂ the cost is a parabola, cost(θ) = cost(θ̂) + (θ − θ̂)ᵀH(θ − θ̂); along one entry e of the
 user's model θ its lowest point is δ = eᵀH(θ̂ − θ)/(eᵀHe), and lower by δ²eᵀHe.
 """

@@ -1,7 +1,7 @@
 """Laws that alter a matrix over time, begun where linear models fit every window of the record.
 
-Where a spring changes, the linear model that is nearest to the whole record is out of step with it before the change
-and after, and no score about it tells the place or the moment. Over a few periods no run falls out of step: windows
+Where a spring changes, the linear model that is nearest to the whole record is out of phase with it before the change
+and after, and no score about it tells the place or the moment. Over a few periods no run loses phase: windows
 have linear models of their own, whose natural frequencies show the moment. What a law at a place explains of them is
 then refitted to some of the windows together,
 
@@ -323,7 +323,7 @@ def _together(
                 break
         return None if now is None else (theta, states[0], size, now[2], sum(one[3] for one in now[1]))
 
-    # A change that takes a window out of step is out of reach of the slope at none.
+    # A change that takes a window out of phase is out of reach of the slope at none.
     starts = [(windows[0].entries, 0.0), _fused(context, law, windows, equations, course)]
     ends = [refined(*start, [window.x0 for window in windows]) for start in starts if start is not None]
     return min(filter(None, ends), key=lambda end: end[3], default=None)

@@ -83,8 +83,8 @@ def _missed(diagnosis: DiagnosisFields, subject: str) -> str:
     if diagnosis.verdict == "noise" and diagnosis.extended is None:
         missed, poor = _poorest(diagnosis)
         if missed > settings.LARGE_RESIDUAL and not diagnosis.white:
-            text = f"What {subject[0].lower()}{subject[1:]} leaves passes for noise, though it is {missed:.0f} % of the"
-            return f"{text} motion at {poor}: so strong an effect that none can be told looks the same."
+            text = f"What {subject[0].lower()}{subject[1:]} leaves looks like noise, though it is {missed:.0f} % of the"
+            return f"{text} motion at {poor}: an effect too strong to be told looks the same."
         text = f"{subject} explains the record down to its noise ({excess:.2f}× the noise floor{where}): "
         return text + "nothing is missing that this record could show."
     if diagnosis.verdict == "unexplained" and excess < settings.MIN_EXCESS:

@@ -348,7 +348,7 @@ def _drift(machine: Machine, known: _Statistics, j, change: Change, kind, begins
     since = machine.when[begins] or str(begins + 1)
     first, last = change.interval
     sentence = (
-        f"{title} of {machine.name} {verb} since record {begins + 1} ({since}; 95 %: {first + 1} to {last + 1}): "
+        f"{title} of {machine.name} {verb} from record {begins + 1} on ({since}; 95 %: {first + 1} to {last + 1}): "
         f"{size} {'at the last record' if kind == 'ramp' else 'from one record to the next'}."
     )
     x, error = known.series(j)

@@ -57,11 +57,10 @@ def identify_many(
 ) -> Identifications:
     """Mass, damping and stiffness of every record by itself, computed as batches.
 
-    For specimens of one kind, repeated tests, Monte-Carlo runs: same channels, same sampling time, a system of its
-    own behind each record. The subspace start and the prediction-error refinement are those of `identify`, taken
-    side by side; what is left out are forced choices of method and the tests of `assess`. A record that the batch
-    does not bring to a safe end (no start, not settled, at the edge of what is physical, poor fit) is not passed
-    off as identified.
+    For specimens of one kind, repeated tests, Monte-Carlo runs: same channels, same sampling time, a system of its own
+    behind each record. The subspace start and the prediction-error refinement are those of `identify`, taken side by
+    side; what is left out are forced choices of method and the tests of `assess`. A record for which the batch gives no
+    reliable model (no start, not settled, at the edge of what is physical, poor fit) is not reported as identified.
 
     **Arguments:**
 

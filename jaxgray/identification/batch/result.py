@@ -17,10 +17,10 @@ class Identifications:
     """Mass, damping and stiffness of every record by itself, in the records' units.
 
     `mass`, `damping`, `stiffness`: one matrix per record; `covariance` of the stacked upper triangles (by columns) of
-    the three, for a white residual; `fit_percent`, `rmse` per output on the record itself; `white`: whether
-    the residual is; `results`: the outcome per record, `details` in words; `alone`: which were identified one by
-    one; `steps` of the batch's refinement; `time_constant` [s], `block_rows` of the start. What failed is not a number,
-    or marked in `results`: look at `successful` before anything else.
+    the three, for a white residual; `fit_percent`, `rmse` per output on the record itself; `white`: whether the
+    residual is; `results`: the outcome per record, `details` in words; `alone`: which were identified one by one;
+    `steps` of the batch's refinement; `time_constant` [s], `block_rows` of the start. Values of failed records are NaN,
+    or the record is marked in `results`: check `successful` first.
     """
 
     mass: Float[np.ndarray, "records dofs dofs"]

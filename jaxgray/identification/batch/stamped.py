@@ -51,9 +51,9 @@ def fit_stamped(fit: Callable[[list[Record]], Identifications], records: list[Re
             continue
         details[k] = LOGGED if k in logged else note(records[k], 0.0)
         if k in moving and k not in logged:
-            results[k], details[k] = RESULTS.refinement_diverged, "not at rest at the times of its rows"
+            results[k], details[k] = RESULTS.refinement_diverged, "did not settle at the times of its rows"
         if records[k].stamps.other_clocks:
-            results[k], details[k] = RESULTS.refinement_diverged, "rows of several clocks, which no batch mends"
+            results[k], details[k] = RESULTS.refinement_diverged, "rows of several clocks, which a batch cannot correct"
     return dataclasses.replace(found, results=tuple(results), details=tuple(details))
 
 

@@ -1,4 +1,11 @@
-"""Coordinates that no sensor sees: canonical form, start in closed form, physical structure and what it determines."""
+"""Coordinates that no sensor sees: canonical form, start in closed form, physical structure and what it determines.
+
+canonical     the representative that inputs and outputs determine
+physical      masses, springs and dampers between named coordinates
+realizations  state-space models of more states than twice the outputs
+evidence      what is known of the hidden coordinates beside the model
+drift         realisations of records that drift
+"""
 
 from .canonical import Canonical as Canonical
 from .canonical import canonical_count as canonical_count

@@ -87,11 +87,11 @@ class HiddenEvidence:
                 "connections (structure) make all of them so."
             )
         if not self.canonical and self.rank < self.parameters:
-            what = f"only {', '.join(self.combinations)}" if self.combinations else "no combination of the others"
+            what = f"only {', '.join(self.combinations)}" if self.combinations else "no combination of them"
             open_ones = ", ".join(e.name for e in self.elements if e.value is None and not e.known)
             lines.append(
                 f"Inputs and outputs determine {self.rank} of {self.parameters} parameters of this structure: "
-                f"{open_ones} stay open, {what} {'is' if len(self.combinations) == 1 else 'are'} determined."
+                f"{open_ones} stay open, {what} {'is' if len(self.combinations) <= 1 else 'are'} determined."
             )
         if self.alternatives:
             lines.append(

@@ -42,7 +42,7 @@ def canonical_fit(task: Task, found) -> tuple[Task, Start, Refinement | None, St
     p, n = task.outputs, len(task.request.names)
     if task.request.fix:
         raise ValueError(
-            f"fix={task.request.fix!r} needs a structure: without one, entries belong to a representative; give "
+            f"fix={task.request.fix!r} needs a structure: without one, entries are those of a canonical form; give "
             f"structure='{example(task.records[0], task.request.names)}' or the like."
         )
     starts, failure = [], None

@@ -1,4 +1,16 @@
-"""The catalogue of physical effects: one family per file, one class per effect."""
+"""The catalogue of physical effects: one family per file, one class per effect.
+
+base             what every effect is
+friction         forces against the velocity
+stiffness        restoring forces
+hysteresis       forces with memory
+actuator         inputs before they act
+between_samples  inputs between their samples
+sensor           outputs between the motion and the record
+structure        one more mode, or parameters that change over time
+disturbance      forces that nobody recorded
+coupling         entries of M, D, K that are not symmetric, or wrong
+"""
 
 import difflib
 

@@ -325,8 +325,8 @@ class InputPositionGain(AbstractForceEffect):
 class SpeedForceLimit(AbstractForceEffect):
     """The largest force falls with the speed (motors on a limited voltage, engines, hydraulic pumps).
 
-    Its law is on the left side: f is what the command asks for and the plant does not get. The form "voltage" gives
-    back while braking what the induced voltage takes while driving: −u0 − c·v ≤ u ≤ u0 − c·v.
+    Its law is on the left side: f is what the command asks for and the plant does not get. In the form "voltage" the
+    induced voltage raises the limit while braking by as much as it lowers it while driving: −u0 − c·v ≤ u ≤ u0 − c·v.
     """
 
     id = "speed_force_limit"

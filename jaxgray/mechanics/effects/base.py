@@ -43,8 +43,8 @@ class Local(eqx.Module):
     linear model has there; `compliance`: bᵀM⁻¹b, the acceleration a unit force makes there; `u`: the input, for a
     law that acts at an input, otherwise 0; `t` [s] from the start of the record; `p`: scheduling channel, 0 without.
 
-    `turn`: which way dry friction acts, from −1 to 1, where the simulation solves it (`mechanics.dry_friction`), None
-    where the velocity says it.
+    `turn`: which way dry friction acts, from −1 to 1, where the simulation solves it (`mechanics.runs.dry_friction`),
+    None where the velocity says it.
     """
 
     q: Array
@@ -88,19 +88,19 @@ class Scales:
 class AbstractEffect(eqx.Module):
     """A law. Class attributes say what it is; the instance has no data, so that it can be compared and hashed.
 
-    `id`: as in files and messages; `family`: file it belongs to; `parameters`; `parity`: "odd", "even" or "none" of
-    the force in (q, v), or of the signal; `signature`: what gives it away, one line; `law`: formula in words;
-    `reference`; `places`: where it can act: "coordinate" (one to ground), "spring" (one to ground, or between two),
-    "pair" (between two only), "input", "output", "record" (all outputs), "cross" (source->polluted); `contains`: ids
-    of simpler laws that it turns into where its further parameters vanish; `becomes`: ids of those that it is where it
-    is `unresolved`; `renamed`: ids of simpler laws that it contains under other names of the parameters; `resembles`:
-    a word that laws share which a record hardly tells apart, "" for none; `repeats`: whether the force comes again and
-    again over displacement; `tied_to_clock`: whether it belongs to the clock of one record, so that another record, or
-    another part, may not show it; `own_phase`: whether every record has it with another phase; `onset`: parameters that
-    are the time and the width of a sudden change, none for others; `alters`: the matrix that it alters over time, and
-    the parameter that says by how much, none for others; `replaces`: "stiffness" or "damping" whose
-    element at its place may be nothing but this law, "" for neither; `jumps`: whether the force jumps where the
-    velocity changes sign; `told_apart`: what to do, other than with the inputs, for a record that tells it from its
+    `id`: as in files and messages; `family`: file it belongs to; `parameters`; `parity`: "odd", "even" or "none" of the
+    force in (q, v), or of the signal; `signature`: what gives it away, one line; `law`: formula in words; `reference`;
+    `places`: where it can act: "coordinate" (one to ground), "spring" (one to ground, or between two), "pair" (between
+    two only), "input", "output", "record" (all outputs), "cross" (source->polluted); `contains`: ids of simpler laws
+    that it turns into where its further parameters vanish; `becomes`: ids of those that it is where it is `unresolved`;
+    `renamed`: ids of simpler laws that it contains under other names of the parameters; `resembles`: a word that laws
+    share which a record hardly tells apart, "" for none; `repeats`: whether the force comes again and again over
+    displacement; `tied_to_clock`: whether it belongs to the clock of one record, so that another record, or another
+    part, may not show it; `own_phase`: whether every record has it with another phase; `onset`: parameters that are the
+    time and the width of a sudden change, none for others; `alters`: the matrix that it alters over time, and the
+    parameter that says by how much, none for others; `replaces`: "stiffness" or "damping" where this law may stand for
+    the whole spring or damper at its place, "" for neither; `jumps`: whether the force jumps where the velocity changes
+    sign; `told_apart`: what to change in the experiment, besides the inputs, so that a record tells it from its
     look-alikes, one sentence, "" for nothing; `scheduled`: whether it needs a scheduling channel; `stage`: whether a
     finding says what is missing of the "model" or wrong with the "record".
     """
@@ -140,8 +140,8 @@ class AbstractEffect(eqx.Module):
         """
 
     def looks(self, scales: Scales, grid: list[np.ndarray]) -> int:
-        """Among how many shapes those of `grid` (what `shapes` gave) were chosen, for the penalty of a search: more
-        than they are where the record itself chose them."""
+        """Number of shapes that the penalty of a search counts for `grid` (what `shapes` gave): more than its length
+        where the record itself chose them."""
         return len(grid)
 
     def basis(self, p: np.ndarray) -> list[np.ndarray]:
@@ -163,8 +163,8 @@ class AbstractEffect(eqx.Module):
         return self.bounded(result)
 
     def moved(self, p: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Where a small change of the parameters leads when it grows: straight on, unless another curve keeps the
-        response straighter."""
+        """Parameters after a change that may be large: p + change, unless the response stays more nearly linear along
+        another curve."""
         return p + change
 
     def widened(self, p: np.ndarray, simple: dict[str, float]) -> np.ndarray:

@@ -52,7 +52,7 @@ class BandLimitedInput(AbstractInputEffect):
     law = "u between samples: (1 − share)·hold as said + share·band-limited"
     parameters = (Parameter("share", lower=0.0, upper=2.0, amplitude=True),)
     parity = "odd"
-    signature = "gain that is missing more, the higher the frequency: a third of (π f)² with f in cycles a sample"
+    signature = "missing gain that grows with frequency: a third of (π f)², f in cycles a sample"
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
     places = "input"
     resembles = "timing"

@@ -79,7 +79,7 @@ class StribeckFriction(AbstractForceEffect):
 
     def unresolved(self, p, scales):
         less = p[1] < p[0]
-        return "friction that falls towards rest is the turn of dry friction, rounded off" if less else None
+        return "friction that falls towards rest is dry friction whose change of sign is rounded off" if less else None
 
     def widened(self, p, simple):
         # Coulomb's friction is that at rest as well: from too little there, a refit makes the rest narrow to nothing.
@@ -208,8 +208,8 @@ class FractionalDamping(AbstractForceEffect):
         s^(alpha−1) = (sin(pi·alpha)/pi) ∫ x^alpha/(s + x) d(ln x)
 
     by the trapezoidal rule with step d in ln x. The nodes below the lowest rate act as a spring, those above the
-    highest as a damper: two geometric series in closed form, so that the rule is that of the whole axis, whose
-    relative error is 2·sin(pi·alpha)·exp(−pi²/d).
+    highest as a damper; both are geometric series, summed in closed form. So the rule covers the whole axis, with a
+    relative error of 2·sin(pi·alpha)·exp(−pi²/d).
     """
 
     id = "fractional_damping"

@@ -18,7 +18,7 @@ def _too_short(name: str, length: float, scales: Scales) -> str | None:
     """What is said of a length that gives way within a sample; None of one that shows."""
     if length >= WITHIN_A_SAMPLE * scales.v * scales.sampling_time:
         return None
-    return f"{name} is far less than the place moves in a sample: no more than dry friction"
+    return f"{name} is far less than the motion within a sample there: no more than dry friction"
 
 
 class DahlFriction(AbstractForceEffect):

@@ -141,7 +141,7 @@ def timing(looked: Looked) -> Iterator[RecordFinding]:
         when = f"{abs(shift):.3g} samples ({abs(shift) * record.sampling_time:.3g} s) too {late}"
         by_modes = bool(looked.shifts) if together else name in looked.shifts
         their, them = ("their", "them") if together else ("its", "it")
-        how = f"by the phases of {their} modes" if by_modes else f"since only inputs to come explain {them}"
+        how = f"judging by the phases of {their} modes" if by_modes else f"since only later inputs explain {them}"
         yield RecordFinding(
             "time_shift",
             name,
@@ -187,7 +187,7 @@ def signs(looked: Looked) -> Iterator[RecordFinding]:
                 yield RecordFinding(
                     "swapped_channels",
                     names[0],
-                    f"{names[0]} moves as the place where {record.input_names[k]} acts and {names[1]} as that of "
+                    f"{names[0]} moves like the place where {record.input_names[k]} acts, {names[1]} like that of "
                     f"{record.input_names[j]}: the two look swapped. Exchange the columns, or say where inputs act.",
                     "warning",
                     {"other": names[1]},
@@ -227,7 +227,7 @@ def exchange(looked: Looked) -> Iterator[RecordFinding]:
     for one in looked.open:
         # What follows from what comes after it alone is unstable.
         forward = one.found.share if one.found.stable else np.inf
-        if forward < HEARD:
+        if forward < UNEXPLAINED:
             continue
         for j, name in enumerate(record.input_names):
             back = exchanged(looked.u, one.y, j, forward) if np.any(looked.u[:, j]) else None
@@ -237,7 +237,7 @@ def exchange(looked: Looked) -> Iterator[RecordFinding]:
                     "swapped_channels",
                     one.name,
                     f"{name} follows from the past of {one.name}, all but {100 * back:.2g} %, and {one.name} does not "
-                    f"from that of {name}: input and output look swapped. Exchange the two columns.",
+                    f"follow from that of {name}: input and output look swapped. Exchange the two columns.",
                     "warning",
                     {"input": name, "share": one.found.share, "exchanged_share": back},
                 )
@@ -297,8 +297,8 @@ def loop(looked: Looked) -> Iterator[RecordFinding]:
     if record.samples < MANY or not looked.open:
         return
     # Where inputs explain all but this, hardly anything is fed back.
-    heard = [one for one in looked.open if one.found.share > HEARD]
-    if not heard:
+    unexplained = [one for one in looked.open if one.found.share > UNEXPLAINED]
+    if not unexplained:
         return
     period = record.detect_period()
     for j, name in enumerate(record.input_names):
@@ -308,7 +308,7 @@ def loop(looked: Looked) -> Iterator[RecordFinding]:
         left = looked.left[j]
         followed = []
         if overlap(x) > ALIKE and predictable(x) > PREDICTED:
-            for one in heard:
+            for one in unexplained:
                 here, far = feedback(one.found, x, period)
                 if here > max(LOOP / np.sqrt(record.samples), FOLLOWED, 1.5 * far):
                     followed.append(one.name)
@@ -316,20 +316,20 @@ def loop(looked: Looked) -> Iterator[RecordFinding]:
             continue
         looked.explained.update(one.name for one in looked.open)
         seen = (
-            f"{name} is what the outputs have just been, all but {100 * left:.2g} % of what its own past leaves"
+            f"{name} follows from the last outputs, all but {100 * left:.2g} % of what its own past leaves open"
             if left <= LEFT
-            else f"{name} answers what it does not explain of {listed(followed)}"
+            else f"{name} responds to the part of {listed(followed)} that it does not explain"
         )
         yield RecordFinding(
             "closed_loop",
             name,
-            f"{seen}: a controller closes the loop, and noise passes it too. Record the reference, and excite by it.",
+            f"{seen}: a controller closes the loop and feeds noise back, too. Record the reference, and excite by it.",
             "note",
             {"left": left, "outputs": followed},
         )
 
 
-HEARD = 0.01
+UNEXPLAINED = 0.01
 """Unexplained share of an output from which another relation may explain it, or what is fed back of it matters."""
 
 FOLLOWED = 0.06

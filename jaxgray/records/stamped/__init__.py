@@ -1,4 +1,10 @@
-"""Samples at times of their own: what was sampled when, and the uniform grid that stands beside it."""
+"""Samples at times of their own: what was sampled when, and the uniform grid that stands beside it.
+
+rows    rows of a file, and whether their times matter
+stamps  rows as they were sampled
+grid    the uniform grid
+clocks  clocks that differ from that of the inputs
+"""
 
 from .clocks import ClockError as ClockError
 from .clocks import mended as mended

@@ -1,4 +1,11 @@
-"""A model for other programs: one format per file, listed in a table."""
+"""A model for other programs: one format per file, listed in a table.
+
+state_spaces  SciPy and python-control
+arrays        NumPy arrays of a state space
+matlab        variables for MATLAB
+mjcf          MJCF for MuJoCo
+c_header      C for controllers
+"""
 
 from pathlib import Path
 

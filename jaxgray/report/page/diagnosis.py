@@ -225,8 +225,8 @@ def _sections(diagnosis: Diagnosis, document: dict):
     yield Section(
         "missing",
         "What the model lacks, against what it depends on",
-        "What was measured and the linear part does not account for, other findings taken out. The law that was found "
-        "is drawn on the same motion: as a line where one variable decides it, else as points.",
+        "What was measured and the linear part does not account for, with other findings taken out. The law that was "
+        "found is drawn for the same motion: as a line where one variable decides it, else as points.",
         tuple(forces),
     )
     ranked = candidate_rows(document)

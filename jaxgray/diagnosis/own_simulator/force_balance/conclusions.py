@@ -19,8 +19,8 @@ from .equation import BalanceEquation
 from .search import BalanceSearch
 
 ALONG = (
-    "A run of the simulator over the whole record leaves it at once, as that of a machine does that its controller "
-    "holds: decided by the balance of its forces along the measured motion"
+    "A run of the simulator over the whole record departs from it at once, as where a controller holds the machine: "
+    "decided by the balance of its forces along the measured motion"
 )
 
 
@@ -66,7 +66,7 @@ def balance_diagnosis(search: BalanceSearch) -> Diagnosis:
         warnings=(
             f"{ALONG}, below {equation.series[0].band.high:.3g} Hz; fits and errors are those of runs over windows of "
             f"{window:.3g} s, the first state of each estimated.",
-            f"Relative force error where it moves: {errors[0]:.3g} before, {errors[1]:.3g} after.",
+            f"Relative force error where the machine moves: {errors[0]:.3g} before, {errors[1]:.3g} after.",
         ),
         budget=_budget(errors, found, search),
         curves=curves_of(search, before, runs),

@@ -2,8 +2,8 @@
 
     d/dt p(q, q̇, θ) = f(q, q̇, θ) + e(q, q̇, u, θ) − Σ b φ(q, q̇)        p = M(q) q̇; e: of the actuators
 
-Every term goes through one zero-phase filter. In the base parameters of a robot momenta and forces are linear, and so
-they are in its numbers θ, but for lengths: there, to first order about those that were given.
+Every term goes through one zero-phase filter. Momenta and forces are linear in the base parameters of a robot, and so
+in its numbers θ, except in lengths: there to first order about those that were given.
 
 **Reference:** Gautier & Khalil, *Direct calculation of minimum set of inertial parameters of serial robots*, IEEE
 Trans. Robotics and Automation 6 (1990) 368-373; Slotine & Li, Int. J. Robotics Research 6 (1987) 49-59, for filtered

@@ -1,7 +1,7 @@
 """The force that a simulator lacks, foretold by what it was along the motion so far.
 
-What pushes a machine is mostly a law: where the measured motion comes back to a displacement, a velocity, an input, the
-force does, too. Sums of curves over each are fitted to the force as far as it is known.
+The force on a machine mostly follows a law: where the measured motion returns to a displacement, a velocity and an
+input, so does the force. Sums of curves over each are fitted to the force as far as it is known.
 
 **Reference:** Eilers & Marx, *Flexible smoothing with B-splines and penalties*, Statistical Science 11 (1996) 89-121.
 """

@@ -1,9 +1,9 @@
 """The linear plant M q̈ + D q̇ + K q = E u + w that a simulator is for small changes of its forces, and the forces that
 give such a plant a motion.
 
-The simulator is run with small, wide-band changes of its forces, then of its inputs. Its answers have no noise, so that
-plain least squares on the force equation gives M, D, K, and E; under forces that are held the second difference of a
-motion is its acceleration, averaged about the sample as the forces are.
+The simulator is run with small, wide-band changes of its forces, then of its inputs. Its responses have no noise, so
+that plain least squares on the force equation gives M, D, K, and E; with forces that are held the second difference of
+a motion is its acceleration, averaged around the sample as the forces are.
 """
 
 from collections.abc import Callable
@@ -366,8 +366,8 @@ def linearized(
     M, D, K = varying.matrices if answers else np.zeros((3, dofs, dofs))
     if not np.all(np.linalg.eigvalsh(M) > 0):
         detail = (
-            "its outputs do not answer to the forces w as a system with mass does; w is a force (or torque) in the "
-            "coordinate of every output, beside what acts there"
+            "its outputs do not answer to the forces w as those of a system with mass do; w is a force (or torque) at "
+            "the coordinate of every output, added to what acts there"
         )
         raise ComputationError(RESULTS.simulator_failed, stage="simulator", detail=detail)
     if input_map is not None:

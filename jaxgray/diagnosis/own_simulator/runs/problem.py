@@ -45,7 +45,7 @@ EXACT, SHRUNK = 6, 0.5
 """Rounds at most in which the forces of a run are made exact for the steps of the linear plant, and the share of its
 error that a round must leave at most, for another one."""
 
-RUNS_AWAY = "the linear plant that stands for it along its run runs away"
+RUNS_AWAY = "the linear plant that stands for the simulator along its run diverges"
 
 RUN_AWAY = 1e3
 """Motion relative to that of the record beyond which a run counts as none."""

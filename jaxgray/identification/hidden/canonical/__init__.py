@@ -1,4 +1,11 @@
-"""The representative that inputs and outputs determine: its form, its start in closed form, what is free in it."""
+"""The representative that inputs and outputs determine: its form, its start in closed form, what is free in it.
+
+form         the canonical form
+closed_form  from a realisation to it, in closed form
+traced       the same as traced code
+projection   the nearest physical model of it
+assemblies   what is free in M, D and K
+"""
 
 from .assemblies import canonical_structure as canonical_structure
 from .closed_form import canonical_of as canonical_of

@@ -1,4 +1,10 @@
-"""Masses, springs and dampers between named coordinates: found from a transfer function, and whether they can be."""
+"""Masses, springs and dampers between named coordinates: found from a transfer function, and whether they can be.
+
+connections  springs and dampers between named coordinates
+transfer     transfer functions and their derivatives
+matching     parameters from a transfer function, and every other set that gives the same
+determinacy  whether inputs and outputs determine them
+"""
 
 from .connections import Connected as Connected
 from .connections import Connections as Connections
