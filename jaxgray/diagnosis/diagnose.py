@@ -65,7 +65,7 @@ from .routing import (
     by_accelerations,
     by_force_equation,
     force_equation_trials,
-    may_come_into_step,
+    may_converge_in_phase,
 )
 from .screening.flexible_force import FlexibleForce
 from .search.forward import recount
@@ -116,20 +116,21 @@ def diagnose(
       lacks; default the model identified from the record.
     - `simulator`: the user's own simulation y = f(u, w, θ) in the place of a model, of one whole record from its start:
       inputs (samples × inputs), forces w at the coordinates of the outputs (samples × outputs, held as the inputs are)
-      and numbers θ by name → displacements (samples × outputs). Which of its numbers are off, then which laws it lacks.
-      One that also has `momenta`, `forces` and `windows`, as `MujocoSimulator` has them, is judged by the balance of
-      its forces along the measured motion where no run of it follows the record, as of an arm held upright.
+      and numbers θ by name → displacements (samples × outputs). The result says which of its numbers are off, then
+      which laws it lacks. Where none of its runs follows the record (an arm held upright), one that also has `momenta`,
+      `forces` and `windows`, as `MujocoSimulator` has, is judged by the balance of its forces along the measured
+      motion.
     - `parameters`: θ as the simulator has them; a number keeps its sign, and one that is 0 does not become negative.
     - `workers`: processes that run the simulator side by side (it must then be importable); default 1.
-    - `simulated`: outputs of the user's own simulation of the record's inputs, where they are all that is known of it:
-      the model that moves as they do stands in for it.
+    - `simulated`: outputs of the user's own simulation for the record's inputs, where nothing else is known of it: a
+      model that reproduces them takes its place.
     - `catalogue`: effects to look for; append your own.
     - `only`, `exclude`: ids of effects to look for alone, or to leave out; default none.
     - `max_effects`: how many effects may be added; default 4.
     - `holdout`: share of the record held out where no validation is given; default 0.3.
     - `seed`: of the resampling; default 0.
-    - `budget` [s]: time from the call after which the search ends with the best that was accepted until then; the
-      linear fit, the refit in work and the summing up are finished all the same. Default no limit.
+    - `budget` [s]: time after the call at which the search ends with the best that is accepted by then; the linear fit,
+      the refit in progress and the summary are finished even so. Default no limit.
     - `progress`: told of every stage; silent by default.
     - `options`: as for `identify` (excitation, input_map, structure, fix, hidden, time_constants, …). With `hidden`
         coordinates and the connections of a structure, laws are looked for between and at hidden ones as well.
@@ -302,7 +303,7 @@ def _of_clean_records(
         forces=asked_of_forces(records, held, identification, searched, max_effects, seed, progress, options),
         first_trials=force_equation_trials(records, searched, progress, options) if fitted and not unseen else None,
         trials_at_once=by_accelerations(records, options),
-        out_of_step=fitted and may_come_into_step(identification),
+        out_of_phase=fitted and may_converge_in_phase(identification),
         others=_other_models(records, baseline, progress, options) if unseen and baseline.setup.physical else None,
     )
     if model is not None:
@@ -556,5 +557,4 @@ def _own_warnings(identification: Identification, state: SearchState) -> tuple[s
     """Warnings of the linear fit; what a finding has mended is no longer one."""
     if not state.accepted:
         return identification.warnings
-    mended = ("M, D, K of", "The residual is", "Poor fit")
-    return tuple(text for text in identification.warnings if not text.startswith(mended))
+    return tuple(text for text in identification.warnings if text not in identification.misfits)

@@ -16,6 +16,7 @@ from ..numerics.outcomes import RESULTS
 from ..numerics.text import entry_text
 from ..records import Record
 from ..records.checks.defects import grid_step
+from ..records.checks.preflight import preflight
 from ..records.stamped import ClockError
 from .hidden.evidence import HiddenEvidence
 from .initialization.start import Start, model_run
@@ -57,14 +58,14 @@ POOR_FIT = 80.0
 class Identification(Shown):
     """An identified model and the evidence for it.
 
-    `model` in the record's units; `uncertainty`: covariance and what limits it (None without refinement);
-    `start` and `refinement`: where it came from; `estimation`, `validation`: fits per record; `noise_floor`: standard
-    deviation of the unpredictable part per output; `residual_test`; `structure_test`; `aic`, `bic`; `noise`:
-    noise model in words and figures; `warnings`: in words; `scaling`, `setting`, `structure`: what the computation
-    used; `fixed`: entries of the joined blocks that did not move (by `fix`, or the scale under base excitation);
-    `hidden`: what is known of coordinates that no output measures, None where every one is measured; `clocks` that run
-    beside that of the inputs, as they were found; `grid_kept`: whether rows at times of their own were taken at uniform
-    ones, which explain them better.
+    `model` in the record's units; `uncertainty`: covariance and what limits it (None without refinement); `start` and
+    `refinement`: where it came from; `estimation`, `validation`: fits per record; `noise_floor`: standard deviation of
+    the unpredictable part per output; `residual_test`; `structure_test`; `aic`, `bic`; `noise`: noise model in words
+    and figures; `warnings`: in words, and those of them that a missing law may cause as `misfits`; `scaling`,
+    `setting`, `structure`: what the computation used; `fixed`: entries of the joined blocks that did not move (by
+    `fix`, or the scale under base excitation); `hidden`: what is known of coordinates that no output measures, None
+    where every one is measured; `clocks`: estimated offset and rate of every clock other than that of the inputs;
+    `grid_kept`: whether rows at times of their own were taken as uniform, which explains them better.
     """
 
     model: MechanicalModel
@@ -89,6 +90,7 @@ class Identification(Shown):
     hidden: HiddenEvidence | None = None
     clocks: tuple[ClockError, ...] = ()
     grid_kept: bool = False
+    misfits: tuple[str, ...] = ()
 
     @property
     def mass(self) -> Float[np.ndarray, "dofs dofs"]:
@@ -165,8 +167,12 @@ class Identification(Shown):
         matrices = self.scaling.matrices_in(self.mass, self.damping, self.stiffness)
         fits = tuple(_fit(matrices, self.setting, self.scaling, r, prepare(r, self.scaling)) for r in records)
         of_pieces = _fit_warnings(self.estimation, self.model)
-        warnings = [text for text in self.warnings if text not in of_pieces] + _fit_warnings(fits, self.model)
-        return dataclasses.replace(self, records=tuple(records), estimation=fits, warnings=tuple(warnings))
+        of_records = _fit_warnings(fits, self.model)
+        said = {
+            name: tuple(text for text in getattr(self, name) if text not in of_pieces) + tuple(of_records)
+            for name in ("warnings", "misfits")
+        }
+        return dataclasses.replace(self, records=tuple(records), estimation=fits, **said)
 
     def _per_output(self, name: str) -> dict[str, dict[str, float]]:
         result = {}
@@ -224,7 +230,7 @@ def assess(
     floor = noise_floor(estimation[0].residual)
     tests = residual_test(estimation[0].residual, records[0].u)
     spread = found = None
-    warnings = list(notes)
+    warnings, misfits = list(notes), []
     noise = {"form": "output-error"}
     parameters = 3 * model.dofs * (model.dofs + 1) // 2
     if refinement is not None:
@@ -271,9 +277,10 @@ def assess(
                 "force_to_output_noise": np.abs(values[: batch.u.shape[2]]).tolist(),
             }
             warnings += _hardly_noisy(refinement, batch.u.shape[2], records[0].input_names)
-        warnings += _warnings(refinement, spread, found, tests, model, at_forces)
-        warnings += _rounded(records[0], estimation[0], notes)
-    warnings += _fit_warnings(estimation, model)
+        warnings += _warnings(refinement, spread, model, at_forces)
+        misfits += _misfits(refinement, found, tests, model, at_forces)
+        warnings += _rounded(records[0], estimation[0])
+    misfits += _fit_warnings(estimation, model)
     residuals = np.concatenate([fit.residual for fit in estimation])
     complete = residuals[np.all(np.isfinite(residuals), axis=1)]
     sign, logdet = np.linalg.slogdet(complete.T @ complete / max(len(complete), 1))
@@ -293,7 +300,7 @@ def assess(
         aic,
         bic,
         noise,
-        tuple(dict.fromkeys(warnings)),
+        tuple(dict.fromkeys(warnings + misfits)),
         scaling,
         setting,
         structure,
@@ -314,9 +321,7 @@ def _score_covariance(sensitivities, residuals) -> np.ndarray:
     return score_covariance(sensitivities, residuals) * count / max(count - sensitivities[0].shape[2], 1)
 
 
-def _warnings(
-    refinement, spread: Uncertainty, found: StructureTest, tests: ResidualTest, model, at_forces: ForceNoise
-) -> list[str]:
+def _warnings(refinement, spread: Uncertainty, model, at_forces: ForceNoise) -> list[str]:
     result = []
     if refinement.result == RESULTS.not_improved:
         result.append(
@@ -344,6 +349,19 @@ def _warnings(
                 f"No inertia visible at {name}: mass {mass[k, k]:.3g} ± {errors[k, k]:.2g}. Excite nearer "
                 "to the natural frequencies."
             )
+    if not at_forces.chance < FORCE_NOISE and at_forces.samples < SHOWING[0] and at_forces.shown < SHOWING[1]:
+        result.append(
+            "So short a record may not show noise at the forces: if there is any, error bars are too small. Record "
+            "more, or use noise='innovations'."
+        )
+    return result
+
+
+def _misfits(
+    refinement, found: StructureTest, tests: ResidualTest, model: MechanicalModel, at_forces: ForceNoise
+) -> list[str]:
+    """What the residual has that noise of the sensors has not."""
+    result = []
     if not found.fits:
         result.append(
             f"M, D, K of {model.dofs} coordinates do not fit: another linear model "
@@ -359,11 +377,6 @@ def _warnings(
         result.append(
             f"The residual is largest where the system answers forces (p = {at_forces.chance:.1e}): if noise enters "
             "at the forces, error bars are too small, the more so the lighter the damping. Use noise='innovations'."
-        )
-    elif at_forces.samples < SHOWING[0] and at_forces.shown < SHOWING[1]:
-        result.append(
-            "So short a record may not show noise at the forces: if there is any, error bars are too small. Record "
-            "more, or use noise='innovations'."
         )
     if tests.feedback:
         biased = "" if tests.white else " If so, noise of this colour biases M, D, K by more than their error bars."
@@ -400,17 +413,22 @@ def _hardly_noisy(refinement: Refinement, inputs: int, names: tuple[str, ...]) -
     ]
 
 
-def _rounded(record: Record, fit: Fit, notes: tuple[str, ...]) -> list[str]:
+def _rounded(record: Record, fit: Fit) -> list[str]:
     result = []
     for name, y, rmse in zip(record.output_names, record.y.T, fit.rmse):
         step = grid_step(y)
-        if step is None or not step / np.sqrt(12) > ROUNDED * rmse or any(f"Output {name} lies" in x for x in notes):
+        if step is None or not step / np.sqrt(12) > ROUNDED * rmse or name in _said_to_be_rounded(record):
             continue
         result.append(
             f"Most of the noise at {name} is rounding to steps of {step:.3g}: it repeats where the motion does, but "
             "error bars take it for independent from sample to sample. Use a finer resolution."
         )
     return result
+
+
+def _said_to_be_rounded(record: Record) -> set[str]:
+    """Outputs of which the findings on the raw record say so."""
+    return {one.location for one in preflight(record, relations=False) if one.effect == "sensor_quantization"}
 
 
 def _fit_warnings(estimation, model) -> list[str]:

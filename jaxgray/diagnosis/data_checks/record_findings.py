@@ -29,7 +29,8 @@ def record_findings(measured: Record) -> tuple[Finding, ...]:
                 if isinstance(value, (int, float)) and not isinstance(value, bool)
             }
             text = finding.message
-            if finding.effect in LEFT_OUT and "left out" not in text:
+            # What is missing is left out anyway, and its message says so.
+            if finding.effect in LEFT_OUT and "gaps" not in finding.values:
                 text += " The diagnosis leaves these samples out."
             found.append(Finding(finding.effect, finding.location, "named", "record", (), values, None, None, text))
     return tuple(found)
