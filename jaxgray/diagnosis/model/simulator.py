@@ -46,7 +46,7 @@ def law_table(terms: tuple[Term, ...], laws: tuple[AbstractForceEffect, ...]) ->
 
     **Arguments:** `terms`; `laws`: all force laws of the catalogue.
     """
-    used = [term.effect for term in terms if isinstance(term.effect, AbstractForceEffect)]
+    used = [term.effect for term in terms if isinstance(term.effect, AbstractForceEffect) and not term.effect.element]
 
     def kind(law):
         return bisect.bisect_left(MEMORIES, law.states)
@@ -358,7 +358,7 @@ class Simulator:
             if isinstance(term.effect, AbstractMatrixEffect):
                 at["matrix"] += count
             elif isinstance(term.effect, AbstractForceEffect):
-                at["slot"] += 1
+                at["slot"] += not term.effect.element
             elif isinstance(term.effect, AbstractInputEffect):
                 at["input"] += count
             else:
@@ -380,16 +380,22 @@ class Simulator:
             # As if every parameter of the table's laws were estimated, so that one program serves them all.
             forces = _only(candidate.terms, AbstractForceEffect)
             count = len(columns) - sum(len(estimated(term)) for term in forces) + slots.values.size
-        y, J = derivative(columns, (), count)
-        parts = [np.asarray(J)[:, :outputs, : len(columns)]]
         changes = [] if by_entry is None else [by_entry]
         if series:
             changes.append([None if d is None else np.moveaxis(np.asarray(d)[..., series], -1, 0) for d in dinput])
-        if changes:
-            along = [None if any(d is None for d in one) else np.concatenate(one) for one in zip(*changes)]
-            still = [column() for _ in along[0]]
-            _, J = derivative(still, along, _rounded(len(still)))
-            parts.append(np.asarray(J)[:, :outputs, : len(still)])
+        along = [None if any(d is None for d in one) else np.concatenate(one) for one in zip(*changes)]
+        still = [column() for _ in along[0]] if along else []
+        if by_entry is None:
+            y, J = derivative(columns, (), count)
+            parts = [np.asarray(J)[:, :outputs, : len(columns)]]
+            if still:
+                _, J = derivative(still, along, _rounded(len(still)))
+                parts.append(np.asarray(J)[:, :outputs, : len(still)])
+        else:
+            # Every candidate has such columns: one program serves all that follow the inputs, and all others.
+            along = [None if d is None else np.pad(d, ((len(columns), 0), (0, 0), (0, 0))) for d in along]
+            y, J = derivative(columns + still, along, count + _rounded(len(still)))
+            parts = [np.asarray(J)[:, :outputs, : len(columns) + len(still)]]
         y, J = np.asarray(y)[:, :outputs], np.concatenate(parts, axis=2)
         terms = _only(candidate.terms, AbstractOutputEffect)
         extra = None

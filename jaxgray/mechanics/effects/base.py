@@ -201,9 +201,14 @@ def onset_of(effect: AbstractEffect) -> tuple[int, int]:
 
 
 class AbstractForceEffect(AbstractEffect):
-    """A force on the left side of M q̈ + D q̇ + K q + b f = E u, with states of its own where it has memory."""
+    """A force on the left side of M q̈ + D q̇ + K q + b f = E u, with states of its own where it has memory.
+
+    `states`: how many; `element`: "stiffness" or "damping" of a law without parameters whose force is its input times
+    the displacement or the velocity, "" for others.
+    """
 
     states: ClassVar[int] = 0
+    element: ClassVar[str] = ""
 
     @abc.abstractmethod
     def force(self, p: Float[Array, " parameters"], here: Local, z: Float[Array, " states"]) -> Array:

@@ -145,22 +145,31 @@ def arm_of(term: Term, plant: Plant) -> Float[Array, " dofs"]:
 
 
 def slots_of(terms: tuple[Term, ...], plant: Plant, laws: tuple[AbstractForceEffect, ...]) -> Slots | None:
-    """The forces among some terms, in their order, as rows of a table; None where there are none.
+    """The forces among some terms, in their order, elements last, as rows of a table; None where there are none.
 
     **Arguments:** `terms`; `plant`; `laws`: the table, which must hold every force's law.
     """
     forces = [term for term in terms if isinstance(term.effect, AbstractForceEffect)]
     if not forces:
         return None
-    width = max(len(law.parameters) for law in laws)
-    xp = namespace(*(t.values for t in forces), plant.drive.input_map if isinstance(plant.drive, Force) else None)
-    values = [xp.pad(xp.asarray(t.values), (0, width - len(t.effect.parameters))) for t in forces]
-    channels = [t.place.first if t.effect.places == "input" else -1 for t in forces]
+    plain = [term for term in forces if not term.effect.element]
+    width = max((len(law.parameters) for law in laws), default=0)
+    xp = namespace(*(t.values for t in plain), plant.drive.input_map if isinstance(plant.drive, Force) else None)
+    values = [xp.pad(xp.asarray(t.values), (0, width - len(t.effect.parameters))) for t in plain]
+    channels = [t.place.first if t.effect.places == "input" else -1 for t in plain]
+    elements: list[dict] = []
+    for term in (t for t in forces if t.effect.element):
+        arm, kind = arm_of(term, plant), term.effect.element
+        along = (one for one in elements if kind not in one and np.array_equal(one["arm"], arm))
+        one = next(along, None) or {"arm": arm}
+        elements += [one] if len(one) == 1 else []
+        one[kind] = term.place.first
+    by_element = [one.get(kind, -1) for kind in ("stiffness", "damping") for one in elements]
     return Slots(
-        np.asarray([laws.index(t.effect) for t in forces]),
-        xp.stack([arm_of(t, plant) for t in forces]),
-        np.asarray(channels),
-        xp.stack(values),
+        np.asarray([laws.index(t.effect) for t in plain], dtype=int),
+        xp.stack([*(arm_of(t, plant) for t in plain), *(one["arm"] for one in elements)]),
+        np.asarray(channels + by_element),
+        xp.stack(values) if values else np.zeros((0, width)),
     )
 
 

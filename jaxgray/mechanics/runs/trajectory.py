@@ -21,14 +21,15 @@ from .dry_friction import Rubbing
 
 
 class Slots(eqx.Module):
-    """Forces of a model, one row each, so that one compiled simulation serves all laws.
+    """Forces of a model, one row each, so that one compiled simulation serves all laws; those of laws first, then those
+    of elements whose stiffness and damping are inputs.
 
-    `law`: position in the table of laws; `arms`: unit vectors b; `channel`: input that the law reads, −1 for none;
-    `values`: parameters, padded.
+    `law`: position in the table of laws; `arms`: unit vectors b; `channel`: inputs that the laws read, then those that
+    are the stiffness of every element, then the damping, −1 for none; `values`: parameters of the laws, padded.
     """
 
     law: Array
-    arms: Float[Array, "slots dofs"]
+    arms: Float[Array, "slots+elements dofs"]
     channel: Array
     values: Float[Array, "slots parameters"]
 
@@ -74,12 +75,12 @@ class Sampler(eqx.Module):
     @property
     def memory(self) -> int:
         """States that a force of the table remembers at most."""
-        return max(law.states for law in self.laws)
+        return max((law.states for law in self.laws), default=0)
 
     @property
     def rest(self) -> Float[Array, "slots memory"]:
         """What the forces remember at the first sample."""
-        return jnp.zeros((self.slots.arms.shape[0], self.memory))
+        return jnp.zeros((len(self.slots.law), self.memory))
 
     def driven(self, series: Series) -> tuple[Array, ...]:
         """What the steps of every sample take from the series, samples last."""
@@ -106,7 +107,7 @@ class Sampler(eqx.Module):
     def _step(self, j, state, driven):
         x, z, first = state
         base, slope, channels, change, t = driven
-        rows, count, share = self.rows, self.slots.arms.shape[0], 1.0 / self.substeps
+        rows, count, share = self.rows, len(self.slots.law), 1.0 / self.substeps
         h, fraction = self.sampling_time * share, j * share
         begin, middle, final, after, rate = rows.split(_product(rows.states, x) + base + fraction * slope)
 
@@ -116,23 +117,35 @@ class Sampler(eqx.Module):
             here = (*motion[:, s], rows.compliance[s, s], u[s], now, u[-1])
             return Local(*(jnp.broadcast_to(X, x.shape[1:]) for X in here))
 
+        def of_elements(motion, at):
+            now = (channels + (fraction + at * share) * change)[count:-1]
+            stiffness, damping = jnp.split(now, 2)
+            return stiffness * motion[0, count:] + damping * motion[1, count:]
+
         here = [local(s, begin, 0.0) for s in range(count)]
-        smooth, rubbing = self._forces(here, z)
-        f0 = smooth if rubbing is None else smooth + rubbing.at_an_instant(begin[1], rate, rows.compliance)
+        smooth, rubbing = self._forces(here, z, x)
+        others = of_elements(begin, 0.0)
+        f0 = smooth
+        if rubbing is not None:
+            f0 = smooth + rubbing.at_an_instant(begin[1, :count], rate[:count], rows.compliance[:count, :count])
+        f0 = jnp.concatenate([f0, others])
         middle = middle + _by(rows.halfway, f0)
         there = [local(s, middle, 0.5) for s in range(count)]
-        f1, rubbing = self._forces(there, self._advanced(z, here, there, h / 2))
+        f1, rubbing = self._forces(there, self._advanced(z, here, there, h / 2), x)
         if rubbing is not None:
-            free = final[1] + _by(rows.ending, smooth)[1]
-            f1 = f1 + rubbing.over_a_step(begin[1], free, rows.yielding)
+            free = final[1] + _by(rows.ending, jnp.concatenate([smooth, others]))[1]
+            f1 = f1 + rubbing.over_a_step(begin[1, :count], free[:count], rows.yielding[:count, :count])
+        f1 = jnp.concatenate([f1, of_elements(middle, 0.5)])
         if self.memory:
             final = final + _by(rows.ending, f1)
             z = self._advanced(z, here, [local(s, final, 1.0) for s in range(count)], h)
         return after + _product(rows.whole, f1), z, jnp.where(j == 0, f0, first)
 
-    def _forces(self, here: list[Local], z) -> tuple[Array, Rubbing | None]:
-        """Forces without dry friction, and that; None where no law of the table has any."""
+    def _forces(self, here: list[Local], z, x) -> tuple[Array, Rubbing | None]:
+        """Forces of the laws without dry friction, and that; None where no law of the table has any."""
         slots = self.slots
+        if not here:
+            return jnp.zeros((0, *x.shape[1:])), None
 
         def force(law, values, z, here):
             return _each(lambda here, z: _force(self.laws, law, values, here, z), here, z)
@@ -141,7 +154,7 @@ class Sampler(eqx.Module):
         if not rubbing(self.laws):
             return parts, None
         smooth, size, eps = jnp.moveaxis(parts, 1, 0)
-        return smooth, Rubbing.of(size, eps, slots.arms)
+        return smooth, Rubbing.of(size, eps, slots.arms[: len(slots.law)])
 
     def _advanced(self, z, before: list[Local], after: list[Local], time):
         if not self.memory:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from ....mechanics.effects.base import AbstractForceEffect, Place, Term
 from ....mechanics.runs.extended import held_input
+from ....mechanics.systems.drives import Force
 from ....mechanics.systems.step_rows import Plant
 from ....numerics.matrices.bounded import bounded
 from ...model import simulator as free_run
@@ -32,6 +33,7 @@ class StiffnessOverTime(AbstractForceEffect):
     signature = "none: part of a linear plant"
     reference = ""
     places = "input"
+    element = "stiffness"
 
     def shapes(self, scales):
         return []
@@ -45,6 +47,7 @@ class DampingOverTime(StiffnessOverTime):
 
     id = "damping_over_time"
     law = "f = d(t)·q̇"
+    element = "damping"
 
     def force(self, p, here, z):
         return here.u * here.v
@@ -118,10 +121,19 @@ class NumbersSimulator(free_run.Simulator):
             return super()._run_and_jacobian(candidate, data, record)
         return super()._run_and_jacobian(candidate, self._moved(candidate.entries, data), record)
 
+    def _parts(self, candidate: Candidate, data: Data, record: int):
+        plant, x0, inputs, slots, table, dplant, dinput = super()._parts(candidate, data, record)
+        # What the forces change by number is in them already.
+        acting = data.u.shape[1] - len(self.setup.here) * self.setup.dofs
+        plant = dataclasses.replace(plant, drive=Force(np.asarray(plant.drive.input_map)[:, :acting]))
+        inputs = tuple(None if X is None else X[:, :acting] for X in inputs)
+        dinput = None if dinput is None else tuple(None if X is None else X[:, :acting] for X in dinput)
+        return plant, x0, inputs, slots, table, dplant, dinput
+
     def _inputs_by_entry(self, data: Data):
         dofs, count = self.setup.dofs, len(self.setup.here)
         first = data.u.shape[1] - (count + 1) * dofs
-        change = np.zeros((count, *data.u.shape))
+        change = np.zeros((count, len(data.u), first + dofs))
         change[:, :, first : first + dofs] = -np.moveaxis(data.u[:, first + dofs :].reshape(-1, count, dofs), 1, 0)
         starts, ends = zip(*(held_input(one, data.hold) for one in change))
         return np.stack(starts), np.stack(ends), None
