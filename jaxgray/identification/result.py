@@ -306,6 +306,7 @@ def assess(
         structure,
         np.asarray(held, bool),
         hidden,
+        misfits=tuple(dict.fromkeys(misfits)),
     )
 
 

@@ -80,6 +80,9 @@ def check_found(case, diagnosis):
     (finding,) = model_findings(diagnosis)
     said = str(diagnosis)
     assert explains(finding, effect), said
+    # What the linear fit warns of is mended.
+    if diagnosis.identification is not None:
+        assert not set(diagnosis.identification.misfits) & set(diagnosis.warnings), said
     assert diagnosis.verdict in ("named", "equivalent"), said
     assert len(finding.members) <= 4
     # One law, named by how much of the record is spent in contact.

@@ -54,7 +54,7 @@ def test_standard_errors_under_coloured_noise():
     u = data.random_steps(rng, 4000, 2, H, (0.2, 1.5))
     noise = data.REFERENCE_NOISE * coloured(rng, 4000, (1 - POLE**2) * np.eye(2))
     found = identify(Record(u, data.simulate(*TRUTH, u, H) + noise, H))
-    assert any("not white" in text for text in found.warnings)
+    assert any("not white" in text for text in found.misfits) and set(found.misfits) <= set(found.warnings)
     J = data.sensitivities(TRUTH, u, H)
     felt = scipy.signal.lfilter([np.sqrt(1 - POLE**2)], [1.0, -POLE], J[::-1], axis=0)
     J, felt = J.reshape(-1, 15), felt.reshape(-1, 15)

@@ -344,7 +344,7 @@ def test_a_third_mode_asks_for_another_form():
     y = data.simulate(*data.random_system(rng, 3), u, H, E=np.eye(3, 2))[:, :2]
     found = identify(Record(u, y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), H))
     assert not found.structure_test.fits and found.structure_test.modes == 3
-    assert any("do not fit" in text for text in found.warnings)
+    assert any("do not fit" in text for text in found.misfits) and set(found.misfits) <= set(found.warnings)
 
 
 def test_modes_alone_lead_near_the_truth():
