@@ -415,21 +415,21 @@ def _hardly_noisy(refinement: Refinement, inputs: int, names: tuple[str, ...]) -
 
 
 def _rounded(record: Record, fit: Fit) -> list[str]:
-    result = []
-    for name, y, rmse in zip(record.output_names, record.y.T, fit.rmse):
-        step = grid_step(y)
-        if step is None or not step / np.sqrt(12) > ROUNDED * rmse or name in _said_to_be_rounded(record):
-            continue
-        result.append(
-            f"Most of the noise at {name} is rounding to steps of {step:.3g}: it repeats where the motion does, but "
-            "error bars take it for independent from sample to sample. Use a finer resolution."
-        )
-    return result
-
-
-def _said_to_be_rounded(record: Record) -> set[str]:
-    """Outputs of which the findings on the raw record say so."""
-    return {one.location for one in preflight(record, relations=False) if one.effect == "sensor_quantization"}
+    steps = {name: grid_step(y) for name, y in zip(record.output_names, record.y.T)}
+    coarse = {
+        name: steps[name]
+        for name, rmse in zip(record.output_names, fit.rmse)
+        if steps[name] is not None and steps[name] / np.sqrt(12) > ROUNDED * rmse
+    }
+    if not coarse:
+        return []
+    said = {one.location for one in preflight(record, relations=False) if one.effect == "sensor_quantization"}
+    return [
+        f"Most of the noise at {name} is rounding to steps of {step:.3g}: it repeats where the motion does, but "
+        "error bars take it for independent from sample to sample. Use a finer resolution."
+        for name, step in coarse.items()
+        if name not in said
+    ]
 
 
 def _fit_warnings(estimation, model) -> list[str]:

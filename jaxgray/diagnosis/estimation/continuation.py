@@ -34,8 +34,8 @@ RESTARTS = (from_other_thresholds, 25), (from_other_change_points, 25), (from_ne
 def refit_to_convergence(context: SearchContext, fit: Refit) -> Refit:
     """A first refit carried to its end, whatever is noise at the forces told apart."""
     fit = along_the_valley(context, with_new_noise_models(context, fit))
-    for begun_again, steps in RESTARTS:
-        other = begun_again(context, fit, max_steps=steps, tolerance=ROUGH)
+    for restarted, steps in RESTARTS:
+        other = restarted(context, fit, max_steps=steps, tolerance=ROUGH)
         fit = fit if other is fit else with_new_noise_models(context, other)
     fit = at_fewer_thresholds(context, fit, max_steps=25, tolerance=ROUGH)
     return settled(context, fit, noise_model_of(context, fit))

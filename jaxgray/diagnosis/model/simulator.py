@@ -392,7 +392,7 @@ class Simulator:
                 _, J = derivative(still, along, _rounded(len(still)))
                 parts.append(np.asarray(J)[:, :outputs, : len(still)])
         else:
-            # Every candidate has such columns: one program serves all that follow the inputs, and all others.
+            # Every candidate has columns that follow the inputs: one run takes them along with the others.
             along = [None if d is None else np.pad(d, ((len(columns), 0), (0, 0), (0, 0))) for d in along]
             y, J = derivative(columns + still, along, count + _rounded(len(still)))
             parts = [np.asarray(J)[:, :outputs, : len(columns) + len(still)]]

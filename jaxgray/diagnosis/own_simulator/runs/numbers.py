@@ -1,8 +1,8 @@
 """The numbers of a simulator as what a refit moves, in the place of the entries of M, D, K, and its linear plant as it
 varies along a motion.
 
-Entry i is number i in units of its size, 1 as it was given. Along a given motion another number needs another force: to
-first order, the forces are linear in the numbers, with this slope. The inputs of the data are u; stiffness, then
+Entry i is number i in units of its size, 1 as it was given. Along a given motion another number needs another force,
+to first order linear in the numbers. The inputs of the data are u; stiffness, then
 damping at every coordinate beside M, D, K; the forces at the coordinates; and their change number by number.
 """
 
