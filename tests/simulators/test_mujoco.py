@@ -167,17 +167,20 @@ def test_a_fixture_has_no_payload_and_a_link_one(arm):
     assert payloads == ["tip.payload"]
 
 
+DRIVE = """<mujoco><option timestep="0.002"/><worldbody>
+<body><joint name="motor" type="hinge" axis="0 1 0" damping="0.1"/><geom size="0.1" mass="1"/></body>
+<body><joint name="load" type="hinge" axis="0 1 0" damping="{damping}"/><geom size="0.2" mass="1"/></body></worldbody>
+<tendon><fixed name="gear" stiffness="{stiffness}" damping="0.01" {slack}><joint joint="motor" coef="1"/>
+<joint joint="load" coef="-1"/></fixed></tendon><actuator><motor name="m" joint="motor"/></actuator></mujoco>"""
+GEARED = {"input_names": ["m"], "output_names": ["motor", "load"]}
+
+
 def test_a_tendon_that_is_a_spring_has_a_backlash(tmp_path):
-    text = """<mujoco><option timestep="0.002"/><worldbody>
-    <body><joint name="motor" type="hinge" axis="0 1 0" damping="0.1"/><geom size="0.1" mass="1"/></body>
-    <body><joint name="load" type="hinge" axis="0 1 0" damping="0.1"/><geom size="0.2" mass="1"/></body></worldbody>
-    <tendon><fixed name="gear" stiffness="{stiffness}" damping="0.01" {slack}><joint joint="motor" coef="1"/>
-    <joint joint="load" coef="-1"/></fixed></tendon><actuator><motor name="m" joint="motor"/></actuator></mujoco>"""
     path, other = tmp_path / "drive.xml", tmp_path / "other.xml"
-    path.write_text(text.format(stiffness=5, slack=""))
-    other.write_text(text.format(stiffness=4, slack='springlength="-0.03 0.03"'))
+    path.write_text(DRIVE.format(damping=0.1, stiffness=5, slack=""))
+    other.write_text(DRIVE.format(damping=0.1, stiffness=4, slack='springlength="-0.03 0.03"'))
     u = torques(SAMPLES, 3)[:, :1]
-    record = jaxgray.Record(u, np.zeros((SAMPLES, 2)), H, input_names=["m"], output_names=["motor", "load"])
+    record = jaxgray.Record(u, np.zeros((SAMPLES, 2)), H, **GEARED)
     simulator = MujocoSimulator(path, record)
     tendon = {name: value for name, value in simulator.numbers.items() if name.startswith("gear")}
     assert tendon == {"gear.stiffness": 5.0, "gear.damping": 0.01, "gear.backlash": 0.0}
@@ -330,3 +333,21 @@ def test_dry_friction_and_wrong_damping_of_an_arm_are_found(tmp_path):
     assert (law.effect, law.location) == ("coulomb_friction", "elbow")
     assert abs(law.parameters["Fc"].value - 0.05) < 0.002
     assert {s.name: round(s.after, 2) for s in found.shifts} == {"shoulder.damping": 0.4, "elbow.damping": 0.2}
+
+
+def test_a_backlash_that_was_given_as_none_is_found(tmp_path):
+    # No linear plant about the closed gear shows it: what is left there looks like a law.
+    path, true = tmp_path / "own.xml", tmp_path / "true.xml"
+    path.write_text(DRIVE.format(damping=0.1, stiffness=40, slack=""))
+    true.write_text(DRIVE.format(damping=0.12, stiffness=40, slack='springlength="-0.03 0.03"'))
+    u = torques(1500, 5)[:, :1] / 2
+    y = MujocoSimulator(true, jaxgray.Record(u, np.zeros((1500, 2)), H, **GEARED))(u, np.zeros((1500, 2)), {})
+    y = y + 0.003 * y.std(axis=0) * np.random.default_rng(6).standard_normal(y.shape)
+    record = jaxgray.Record(u, y, H, input_units=["N m"], output_units=["rad"] * 2, **GEARED)
+    simulator = MujocoSimulator(path, record)
+    laws = "play_hysteresis,sine_stiffness,dead_zone_stiffness"
+    found = jaxgray.diagnose(record, simulator=simulator, parameters=simulator.numbers, only=laws)
+    assert found.verdict == "named"
+    assert {f.effect for f in found.findings if f.stage == "model"} == {"parameter_error"}
+    backlash = next(s for s in found.shifts if s.name == "gear.backlash")
+    assert abs(backlash.after - 0.06) < 4 * backlash.standard_error < 0.003

@@ -17,7 +17,7 @@ from .. import settings
 from ..estimation.context import SearchContext
 from ..model.candidate import Candidate
 from ..model.simulator import steps_of
-from .growing_parts import Ended, Grown, bettered, grown
+from .growing_parts import Ended, Grown, bettered, grown, nearly_followed
 from .runs.calls import Call
 from .runs.linearized import Linearized
 from .runs.numbers import NumbersSimulator
@@ -116,7 +116,9 @@ class Beginner:
         """The same where the simulator's own runs find other numbers, as those that explain it all in the linear plant
         do not in the simulator; None where they do, or its runs find none."""
         problem, numbers = self.problem, found.fitted
-        if numbers is None or found.by_runs or _settled(problem, numbers, still=False):
+        if numbers is None or found.by_runs or is_white(parts_of(problem, numbers.y)[0]):
+            return None
+        if self._law_is_missing(found.followed, numbers):
             return None
         again, entries = None, numbers.candidate.entries
         with contextlib.suppress(BudgetSpent):
@@ -161,7 +163,7 @@ class Beginner:
             return found
         near, nearer = problem.follow(runs.y), left_by(problem, fitted.y) - left_by(problem, runs.y)
         much = nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
-        moved = (not near or (much and not fitted.still)) and not _lacking(fitted)
+        moved = (not near or (much and not fitted.still)) and not self._law_is_missing(led, fitted)
         there = problem.tried(problem.called(fitted.candidate.entries)) if moved else None
         if there is None or not problem.follow(there.y):
             return found
@@ -175,6 +177,13 @@ class Beginner:
         the same; else None."""
         far = np.abs(led.calls[0].numbers / self.problem.units - fitted.candidate.entries)
         return led.slopes if led.along and np.all(far <= ALIKE) else None
+
+    def _law_is_missing(self, led: Runs, fitted: Settled) -> bool:
+        """Whether numbers alone leave more than noise in the linear plant, and that is for a law to explain: they leave
+        much, or are nearly those of the runs that the plant was first about. With others it may answer otherwise, as
+        where a gap opens in a gear."""
+        much = not nearly_followed(self.problem, fitted.y)
+        return _lacking(fitted) and (much or self._known(led, fitted) is not None)
 
     def _begun(self, about: Runs, entries: np.ndarray, by_runs: Grown | None = None) -> Beginning:
         """That about some runs, with the forces that numbers take there."""

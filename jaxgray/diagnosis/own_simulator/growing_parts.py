@@ -35,9 +35,9 @@ which runs are not near the records before it is fitted."""
 FEWEST = 100
 """Samples of the first part at least."""
 
-SLOPES, STEPS, PROMISE = 3, 20, 2.0
-"""Times that slopes are taken for a part, and Gauss-Newton steps, at most; and how many times more runs may leave than
-those that follow a record, by what slopes foretell, for a first step."""
+SLOPES, STEPS, NEARLY = 3, 20, 2.0
+"""Times that slopes are taken for a part, and Gauss-Newton steps, at most; and how many times more than those that
+follow a record runs may leave that nearly do."""
 
 CHANGE = 1e-4, 0.1
 """Change of an entry for its slope, to which the motion answers far above rounding and far below itself; and of a force
@@ -387,6 +387,15 @@ class _Fit:
                 now = dataclasses.replace(now, slopes=())
         return None if exact else now
 
+    def begun(self, first: _Window, exact: bool) -> "_Fit | None":
+        """The best fit, with forces over the `first` samples where records begin elsewhere than the simulator does."""
+        fit = self.best(exact)
+        if fit is None or not fit.begins_elsewhere(first):
+            return fit
+        unknowns = fit.unknowns.pushed(first, fit.vector)
+        vector = np.concatenate([fit.vector, np.zeros(sum(unit.size for unit in unknowns.units))])
+        return _Fit(fit.window, unknowns, vector, fit.y).best(exact)
+
     def slower(self, before: "_Fit") -> bool:
         """Whether the step from a fit `before` leads nowhere: hardly nearer to the records than that, and with slopes
         that foretell no better."""
@@ -398,7 +407,7 @@ class _Fit:
 
     def promises(self) -> bool:
         """Whether slopes foretell runs that follow the records, about."""
-        return self.window.followed(self.foreseen(), PROMISE)
+        return self.window.followed(self.foreseen(), NEARLY)
 
     def foreseen(self) -> Outputs:
         """Runs after a step, as slopes foretell them."""
@@ -421,12 +430,19 @@ def grown(problem: Problem, entries: Float[np.ndarray, " numbers"]) -> Grown | E
     return _grown(problem, entries, np.ones(len(entries), bool), (), BEGIN)
 
 
+def nearly_followed(problem: Problem, y: Outputs) -> bool:
+    """Whether runs leave not much more of the data of the fit than those that follow them do."""
+    return _Window(problem, 1.0).followed(y, NEARLY)
+
+
 def bettered(problem: Problem, entries: Float[np.ndarray, " numbers"], runs: Runs) -> Grown | None:
     """Numbers that follow all data of the fit but for noise, from some with which `runs` are near; None where slopes
     there foretell that none do."""
     unknowns = _Unknowns.alone(problem, np.ones(len(entries), bool))
     fit = _Fit(_Window(problem, 1.0), unknowns, np.array(entries, float), runs.y).sloped()
-    return _finished(problem, fit.best(exact=True)) if fit is not None and fit.promises() else None
+    if fit is None or not fit.promises():
+        return None
+    return _finished(problem, fit.begun(_Window(problem, BEGIN), exact=True))
 
 
 def sharpened(
@@ -459,14 +475,10 @@ def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], shar
                 continue
         if y is None:
             break
-        fit = _Fit(window, unknowns, vector, y).best(exact=share == 1.0)
-        if fit is not None and fit.begins_elsewhere(first):
-            unknowns = unknowns.pushed(first, fit.vector)
-            vector = np.concatenate([fit.vector, np.zeros(sum(unit.size for unit in unknowns.units))])
-            fit = _Fit(window, unknowns, vector, fit.y).best(exact=share == 1.0)
+        fit = _Fit(window, unknowns, vector, y).begun(first, exact=share == 1.0)
         if fit is None or not window.followed(fit.y):
             break
-        vector, followed, share = fit.vector, share, min(LONGER * share, 1.0)
+        unknowns, vector, followed, share = fit.unknowns, fit.vector, share, min(LONGER * share, 1.0)
     return (_finished(problem, fit) if followed == 1.0 else None) or Ended(vector[: unknowns.count])
 
 
