@@ -37,6 +37,8 @@ SIZES = {
 }
 """Least and largest: of the stop and the saturation in shares of the largest angle and torque of the data of the fit,
 or of those held out where that is less, so that both reach them; the delay in s."""
+PARAMETER = {"cubic_stiffness": "k3", "quadratic_drag": "c2", "input_delay": "tau", "input_saturation": "limit"}
+"""The parameter of a law that is its size."""
 SAME = {"end_stop": {"end_stop", "dead_zone_stiffness"}}
 """What is the same law under another name."""
 
@@ -104,12 +106,16 @@ def judged(seed, effect):
         members = [{m.effect for m in f.members} | {f.effect} for f in laws]
         row["right"] = len(laws) == 1 and bool(members[0] & SAME.get(effect, {effect}))
         row["alone"] = row["right"] and len(members[0]) == 1
+        sizes = [m.parameters[PARAMETER[effect]] for f in laws for m in f.members if m.effect == effect in PARAMETER]
+        row["law_deviations"] = [(one.value - size) / one.standard_error for one in sizes if one.standard_error]
     return row
 
 
 def main():
     rows = campaign("own simulator", judged, EFFECTS, 56, 30)
     rounds = [r["runs_a_round"] for r in rows if "runs_a_round" in r]
+    off = np.array([one for r in rows for one in r.get("law_deviations", [])])
+    print(f"sizes of laws: off by {np.sqrt(np.mean(off**2)):.2f} standard errors, at most {np.max(np.abs(off)):.1f}")
     print(f"runs of a record's length a round: median {np.median(rounds):.0f}, most {np.max(rounds):.0f}")
 
 

@@ -1,5 +1,6 @@
 """Which numbers of a simulator have to be other: runs that are no numbers, and how a class of them is told."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -50,6 +51,45 @@ def test_a_number_is_missed_where_data_that_the_fit_has_not_seen_say_so(monkeypa
     lower = 1.0 if sure else -1.0
     gain = Gain({}, 1.0, (lower, 2.0), lower, True)
     assert fewer._missed(without, shown, gain) == missed
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted:
+    """A fit of one number, which was given as 1, and of the size of a law beside it."""
+
+    candidate: SimpleNamespace
+    covariance: np.ndarray
+    undetermined: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulated:
+    """What is settled with it."""
+
+    candidate: SimpleNamespace
+    fit: Fitted
+    linear: SimpleNamespace
+    pushed: tuple = ()
+
+
+@pytest.mark.parametrize("off", [0.0, 2.0, 4.0, 6.0])
+def test_a_law_is_no_surer_than_a_number_that_went_back(monkeypatch, off):
+    """`off`: standard errors by which the number was off."""
+    candidate = SimpleNamespace(entries=np.array([1 + 0.01 * off]))
+    covariance, loose = 1e-4 * np.array([[1.0, -0.99], [-0.99, 1.0]]), np.zeros(1, bool)
+    settled = Simulated(candidate, Fitted(candidate, covariance, loose), SimpleNamespace(setup=None))
+    layout = SimpleNamespace(vector=lambda one: np.array([*one.entries, 2.0]))
+    monkeypatch.setattr(necessary_numbers, "Layout", lambda *given: layout)
+    back, restricted = necessary_numbers._Ellipsoid(settled, np.ones(1), 200).conditional(np.zeros(1, bool))
+    shown = Simulated(SimpleNamespace(entries=np.ones(1)), Fitted(candidate, restricted, loose), settled.linear)
+    found = shown, np.zeros(1, bool), {}, {}
+    monkeypatch.setattr(necessary_numbers._Fewer, "found", lambda self: found)
+    made = necessary_numbers.necessary(None, settled, np.ones(1), 200, lambda one, other: None).settled
+    error, gone = np.sqrt(made.fit.covariance[1, 1]), abs(back[1] - 2.0)
+    # As likely as the number is other after all; below the penalty of a parameter that is hardly so.
+    likely = 1 / (1 + np.exp((np.log(200) - off**2) / 2))
+    assert error == pytest.approx(np.hypot(np.sqrt(restricted[1, 1]), np.sqrt(likely) * gone), rel=1e-6)
+    assert gone == pytest.approx(0.0099 * off) and made.fit.covariance[0, 0] == 0.0
 
 
 def test_a_number_and_a_law_that_stand_for_one_another_are_both_told():

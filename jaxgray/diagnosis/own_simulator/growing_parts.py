@@ -35,7 +35,7 @@ which runs are not near the records before it is fitted."""
 FEWEST = 100
 """Samples of the first part at least."""
 
-SLOPES, STEPS, NEARLY = 3, 20, 2.0
+SLOPES, STEPS, NEARLY = 4, 40, 2.0
 """Times that slopes are taken for a part, and Gauss-Newton steps, at most; and how many times more than those that
 follow a record runs may leave that nearly do."""
 
@@ -376,9 +376,10 @@ class _Fit:
                 if now is None:
                     return None
             ahead = now.down()
-            if ahead is not None and ahead.slower(now):
+            slow = ahead is not None and ahead.slower(now)
+            if slow and now.fresh:
                 return None if exact else ahead
-            flat = ahead is None or ahead.left > now.left - FLAT
+            flat = slow or ahead is None or ahead.left > now.left - FLAT
             if flat and now.fresh:
                 # So short a step changes no slopes.
                 return now if ahead is None else dataclasses.replace(ahead, slopes=now.slopes, fresh=True)

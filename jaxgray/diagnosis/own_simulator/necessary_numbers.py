@@ -160,17 +160,20 @@ def necessary(
         return Necessary(settled, tuple(moved), entries, errors)
     shown, free, gains, rivals = fewer
     shown = _sharpened(problem, shown, free)
-    values, errors, spread = start.copy(), np.zeros(about.count), np.zeros(about.count)
+    values, errors, spread = start.copy(), np.zeros(about.count), np.zeros(len(about.theta))
     # Slopes of runs that hang sharply on the numbers tell nothing of those that stay.
     for k in () if settled.pushed else np.flatnonzero(about.known):
         theta, covariance = about.conditional(free | (np.arange(about.count) == k))
         values[k], errors[k] = max(theta[k], 0.0), np.sqrt(max(covariance[k, k], 0.0))
         if not free[k]:
             # What serves in the place of a number is said beside it.
-            apart = [all(one.k != k for one in rivals.get(j, ())) for j in range(about.count)]
-            spread += about.chance(free, k) * (apart * (theta - about.conditional(free)[0])[: about.count]) ** 2
+            apart = [all(one.k != k for one in rivals.get(j, ())) for j in range(len(theta))]
+            spread += about.chance(free, k) * (apart * (theta - about.conditional(free)[0])) ** 2
+    # Laws are no surer than the numbers beside them.
+    covariance = shown.fit.covariance + np.diag(np.where(np.diag(shown.fit.covariance) > 0.0, spread, 0.0))
+    shown = dataclasses.replace(shown, fit=dataclasses.replace(shown.fit, covariance=covariance))
     values[free] = shown.candidate.entries[free]
-    errors[free] = np.sqrt(np.maximum(np.diag(shown.fit.covariance)[: about.count] + spread, 0.0))[free]
+    errors[free] = np.sqrt(np.maximum(np.diag(covariance)[: about.count], 0.0))[free]
     moved = (
         dataclasses.replace(
             about.moved(free, k), value=float(values[k]), error=float(errors[k]), rivals=rivals[k], gain=gains.get(k)

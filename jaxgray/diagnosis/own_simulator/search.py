@@ -29,7 +29,7 @@ from .growing_parts import FEWEST
 from .runs.calls import Simulator, checked_function, checked_numbers
 from .runs.numbers import NumbersSimulator
 from .runs.problem import Linear, Problem, Runs, Span, nearer, parts_of, sized
-from .runs.tracking import is_white
+from .runs.tracking import is_white, near_until
 from .settling import Settled, refit_of_numbers
 
 NOT_EXPLAINED = "partly", "unexplained"
@@ -101,7 +101,9 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     baseline = problem.runs(problem.called(start))
     problem.away = not problem.follow(baseline.y)
     _check_repeatable(problem, baseline)
-    units = sized(simulator, baseline.calls[0], baseline.y[0])
+    # Beyond where a run leaves its record the least change may show: an arm that turns over does so elsewhere.
+    end = max(near_until(problem.record, baseline.y[0]), FEWEST)
+    units = sized(simulator, baseline.calls[0], baseline.y[0], end)
     start = np.where(problem.units == 0.0, 0.0, 1.0)
     problem.units = units
 

@@ -370,16 +370,17 @@ def _pushed(record: Record, inputs: int, forces: np.ndarray) -> Record:
     return dataclasses.replace(record, u=u)
 
 
-def sized(simulator: Simulator, call: Call, y: np.ndarray) -> np.ndarray:
-    """Units of the numbers: their own sizes; of one that is 0 the size from which it shows, 1 where none does."""
-    units = np.array(call.numbers, float)
+def sized(simulator: Simulator, call: Call, y: np.ndarray, end: int) -> np.ndarray:
+    """Units of the numbers: their own sizes; of one that is 0 the size from which it shows in a run `y` up to its
+    sample `end`, 1 where none does."""
+    units, y = np.array(call.numbers, float), y[:end]
     moved = max(float(np.std(y)), 1e-300)
     for k in np.flatnonzero(units == 0.0):
         units[k] = 1.0
         for size in SIZES:
             changed = np.array(call.numbers, float)
             changed[k] = size
-            made = simulator.tried(dataclasses.replace(call, numbers=changed))
+            made = simulator.tried(dataclasses.replace(call, numbers=changed), end)
             if made is not None and np.sqrt(np.mean((made - y) ** 2)) >= SEEN * moved:
                 units[k] = size
                 break
