@@ -277,7 +277,8 @@ def assess(
                 "force_to_output_noise": np.abs(values[: batch.u.shape[2]]).tolist(),
             }
             warnings += _hardly_noisy(refinement, batch.u.shape[2], records[0].input_names)
-        warnings += _warnings(refinement, spread, model, at_forces)
+        warnings += _warnings(spread, model, at_forces)
+        misfits += _ending(refinement)
         misfits += _misfits(refinement, found, tests, model, at_forces)
         warnings += _rounded(records[0], estimation[0])
     misfits += _fit_warnings(estimation, model)
@@ -322,20 +323,24 @@ def _score_covariance(sensitivities, residuals) -> np.ndarray:
     return score_covariance(sensitivities, residuals) * count / max(count - sensitivities[0].shape[2], 1)
 
 
-def _warnings(refinement, spread: Uncertainty, model, at_forces: ForceNoise) -> list[str]:
-    result = []
+def _ending(refinement) -> list[str]:
+    """What is said of a refinement that did not come to its end: a model that lacks a law may have none."""
+    if refinement.result == RESULTS.successful:
+        return []
     if refinement.result == RESULTS.not_improved:
-        result.append(
+        return [
             "The refinement ended no better than its start, which is kept: error bars are those of the start. Try "
             "another time constant, a longer record, or fix entries that you know."
-        )
-    elif refinement.result != RESULTS.successful:
-        result.append(
-            f"The refinement stopped after {refinement.steps[0]} + {refinement.steps[1]} steps before it had "
-            "settled: the record may hardly determine some entries. Excite nearer to the natural frequencies, "
-            "try another time constant, or fix entries that you know."
-        )
-    result += [f"Parameter {name} does not move any output; fix it or excite it." for name in spread.unmoved]
+        ]
+    return [
+        f"The refinement stopped after {refinement.steps[0]} + {refinement.steps[1]} steps before it had "
+        "settled: the record may hardly determine some entries. Excite nearer to the natural frequencies, "
+        "try another time constant, or fix entries that you know."
+    ]
+
+
+def _warnings(spread: Uncertainty, model, at_forces: ForceNoise) -> list[str]:
+    result = [f"Parameter {name} does not move any output; fix it or excite it." for name in spread.unmoved]
     for text in spread.weak_directions:
         remedy = "Excite nearer to the natural frequencies" if "mass" in text else "Excite it more"
         result.append(f"Hardly determined by this record: {text}. {remedy}, or fix entries that you know.")

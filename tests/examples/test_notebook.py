@@ -12,6 +12,11 @@ from nbclient import NotebookClient
 NOTEBOOK = Path(__file__).resolve().parents[2] / "examples" / "diagnosis.ipynb"
 
 
+def test_what_the_notebook_imports_is_there():
+    first = next(cell.source for cell in nbformat.read(NOTEBOOK, as_version=4).cells if cell.cell_type == "code")
+    exec(first.replace("%matplotlib inline", ""), {})
+
+
 # The messages of the kernel's own machinery are not ours.
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
