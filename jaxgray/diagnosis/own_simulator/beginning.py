@@ -23,7 +23,7 @@ from .runs.linearized import Linearized
 from .runs.numbers import NumbersSimulator
 from .runs.problem import Linear, Problem, Runs, parts_of
 from .runs.tracking import is_white, near_until
-from .settling import Settled, foreseen_by, left_by, refit_of_numbers, settle
+from .settling import STILL, Settled, foreseen_by, left_by, refit_of_numbers, settle
 
 MAX_RELINEARIZATIONS, MAX_LEADS = 8, 2
 """Times that a simulator is linearized about a led run to lead it further; and times that it is led anew with other
@@ -131,6 +131,17 @@ class Beginner:
             return None
         return again
 
+    def again(self, found: Beginning) -> Beginning | None:
+        """Where laws are looked for once more if no law explains anything: with the plant about the numbers that were
+        fitted, as one about others errs in proportion to what these are off. None where it is about them already, or
+        runs with them are not near."""
+        problem, fitted = self.problem, found.fitted
+        if fitted is None or found.by_runs or is_white(parts_of(problem, fitted.y)[0]):
+            return None
+        here, entries = found.linear.setup.here, fitted.candidate.entries
+        errors = np.sqrt(np.diag(fitted.fit.covariance)[: len(entries)])
+        return self._about_numbers(found) if np.any(np.abs(entries - here) > STILL * errors) else None
+
     def _led_further(self, found: Beginning, runs: Runs) -> tuple[Beginning, Runs]:
         """From far away numbers come nearer at a time: led with these a simulator answers more as it does along the
         record."""
@@ -164,13 +175,17 @@ class Beginner:
         near, nearer = problem.follow(runs.y), left_by(problem, fitted.y) - left_by(problem, runs.y)
         much = nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
         moved = (not near or (much and not fitted.still)) and not self._law_is_missing(led, fitted)
-        there = problem.tried(problem.called(fitted.candidate.entries)) if moved else None
+        again = self._about_numbers(found) if moved else None
+        return again if again is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y) else found
+
+    def _about_numbers(self, found: Beginning) -> Beginning | None:
+        """The same with the plant about the numbers that were fitted; None where runs with them are not near."""
+        problem, fitted = self.problem, found.fitted
+        there = problem.tried(problem.called(fitted.candidate.entries))
         if there is None or not problem.follow(there.y):
-            return found
-        again = self._anew(there, fitted.candidate.entries, slopes=self._known(led, fitted))
-        if again is None or left_by(problem, again.fitted.y) > left_by(problem, fitted.y):
-            return found
-        return dataclasses.replace(again, followed=led, candidate=fitted.candidate)
+            return None
+        again = self._anew(there, fitted.candidate.entries, slopes=self._known(found.followed, fitted))
+        return again and dataclasses.replace(again, followed=found.followed, candidate=fitted.candidate)
 
     def _known(self, led: Runs, fitted: Settled) -> tuple[np.ndarray, ...] | None:
         """How numbers move a run along the records with fitted ones, as they do in led runs, where these have nearly

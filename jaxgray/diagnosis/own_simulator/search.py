@@ -115,9 +115,14 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     if found is None:
         return balanced()
     found = beginner.better(found) or found
-    context, states, settled = _laws(
-        problem, found, context_of=context_of, baseline=baseline, start=start, most=max_effects
-    )
+    given = {"context_of": context_of, "baseline": baseline, "start": start, "most": max_effects}
+    context, states, settled = _laws(problem, found, **given)
+    if not settled and (again := beginner.again(found)) is not None:
+        more = _laws(problem, again, **given)
+        if more[2]:
+            found, (context, states, settled) = again, more
+        else:
+            problem.plant, problem.idle = found.plant, found.idle
     fitted = found.fitted
     if not settled:
         settled.append(fitted or _as_given(problem, context, found.wholes, baseline, start))

@@ -24,7 +24,7 @@ SETTLING, PATIENCE, FLAT = 24, 4, 2
 """Runs at most until laws and numbers stand still in the simulator; runs in a row that come no nearer to the records
 than one before, after which none does; and such runs that are as near, after which they stand still."""
 
-NEARER, HALF = 0.02, np.log(0.5)
+NEARER, FALLING = 0.02, np.log(0.9)
 """Share of what is left by which a run must come nearer; and logarithm of the part of it that the next run must be
 foretold to leave at most, for numbers that do not explain all to be moved on."""
 
@@ -124,7 +124,7 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         known = foretold[-1] > left + problem.record.outputs * WRONG
         hopeless, before = max(nearest - abs(left - before), foretold[-1] if known else -np.inf) > beyond, left
         # What numbers alone do not explain in the linear plant is for a law to explain.
-        lacking = not candidate.terms and turn > 0 and foretold[-1] > foretold[-2] + HALF and not is_white(there)
+        lacking = not candidate.terms and turn > 0 and foretold[-1] > foretold[-2] + FALLING and not is_white(there)
         if still or since == PATIENCE or hopeless or lacking:
             break
         ahead = layout.moved(end, layout.limited(_further(steps[-2:], size), end), again.candidate)
