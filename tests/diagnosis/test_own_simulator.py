@@ -54,6 +54,19 @@ def test_a_law_is_told_from_wrong_numbers():
     assert "not white" not in str(found) and "nan" not in str(found)
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_weak_law_is_found_from_far_away(seed):
+    # The plant about the numbers as they were given errs by more than the law: 37 times the noise, and 5.
+    record, _ = measured(pendulum.cogging, 0.0233, samples=2000, seed=seed)
+    shares = {"inertia": 0.97, "damping": 1.03, "gravity": 1.03, "friction": 1.03}
+    numbers = {name: share * pendulum.TRUTH[name] for name, share in shares.items()}
+    laws = "sine_stiffness,cubic_stiffness,stiffness_step"
+    found = jaxgray.diagnose(record, simulator=pendulum.simulator, parameters=numbers, only=laws)
+    assert found.verdict == "named" and found.baseline_excess > 30 and found.excess < 1.05
+    (law,) = (f for f in found.findings if f.stage == "model" and f.effect != "parameter_error")
+    assert law.effect == "sine_stiffness" and within(found.shifts)
+
+
 @pytest.mark.slow
 def test_wrong_numbers_alone_are_said_to_be_that():
     # More of a friction that the simulator has is no law that it lacks.
