@@ -1,10 +1,13 @@
 """Numbers of a simulator whose motion hangs sharply on them, fitted by its own runs over parts of the record that
 grow; data from equations of their own, with the truth in them."""
 
+import dataclasses
+
 import numpy as np
 import pendulum
 
 import jaxgray
+from jaxgray.diagnosis.estimation.gauss_newton import Refit
 from jaxgray.diagnosis.own_simulator.growing_parts import Ended, Grown, bettered, grown
 from jaxgray.diagnosis.own_simulator.runs.calls import Simulator
 from jaxgray.diagnosis.own_simulator.runs.problem import Problem, Span, sized
@@ -31,6 +34,7 @@ def problem_of(record, end=SAMPLES):
 
 
 START = np.array(list(GIVEN.values())) / UNITS
+START_NEAR = np.array(list(pendulum.TRUTH.values())) / UNITS * 1.01
 
 
 def right(found, problem):
@@ -66,8 +70,8 @@ def test_numbers_far_off_are_found_whatever_the_first_state():
 
 
 def test_numbers_that_are_near_are_found_whatever_the_first_state():
-    problem, near = problem_of(measured(kick=KICK)), np.array(list(pendulum.TRUTH.values())) / UNITS * 1.01
-    found = bettered(problem, near, problem.tried(problem.called(near)))
+    problem = problem_of(measured(kick=KICK))
+    found = bettered(problem, START_NEAR, problem.tried(problem.called(START_NEAR)))
     assert isinstance(found, Grown) and right(found, problem) and np.any(found.pushed[0])
 
 
@@ -79,6 +83,22 @@ def test_a_number_given_as_none_has_a_size_where_it_leads_no_run_elsewhere():
         sizes = [sized(problem.simulator, call, y, end)[1] for end in (near_until(problem.record, y), SAMPLES)]
         # Over the whole record a part of the damping turns it over elsewhere.
         assert sizes[1] < pendulum.TRUTH["damping"] / 5 < pendulum.TRUTH["damping"] < sizes[0]
+
+
+def test_a_fit_says_of_its_own_runs_what_is_not_determined():
+    problem = problem_of(measured())
+    found = bettered(problem, START_NEAR, problem.tried(problem.called(START_NEAR)))
+    samples, state = SAMPLES, 2
+    size = len(GIVEN) + state
+    none = np.zeros((samples, 1, size))
+    before = Refit(
+        None, (np.zeros((samples, 1)),), (none,), np.eye(size), 0.0, samples, 1, True, None, np.ones(size, bool), None
+    )
+    told = found.fit(problem, before)
+    # Of the first state there is no slope here.
+    assert list(told.undetermined) == [False] * len(GIVEN) + [True] * state
+    held = dataclasses.replace(found, slopes=tuple(S * [1, 0, 1, 1] for S in found.slopes))
+    assert list(held.fit(problem, before).undetermined)[:4] == [False, True, False, False]
 
 
 def test_a_law_that_is_missing_is_seen_before_more_runs_are_spent():

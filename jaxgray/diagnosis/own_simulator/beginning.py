@@ -112,24 +112,29 @@ class Beginner:
         problem.plant, problem.idle = found.plant, found.idle
         return found
 
-    def better(self, found: Beginning) -> Beginning | None:
+    def better(self, found: Beginning, start: np.ndarray) -> Beginning | None:
         """The same where the simulator's own runs find other numbers, as those that explain it all in the linear plant
-        do not in the simulator; None where they do, or its runs find none."""
+        do not in the simulator; None where they do, or its runs find none. They begin at the entries as they were given
+        (`start`), but for those of which nothing was given, and where that leads to no end, at those that were fitted:
+        some of these may have gone astray to make up for a gap that is open or shut for too long."""
         problem, numbers = self.problem, found.fitted
         if numbers is None or found.by_runs or is_white(parts_of(problem, numbers.y)[0]):
             return None
         if self._law_is_missing(found.followed, numbers):
             return None
-        again, entries = None, numbers.candidate.entries
+        best, entries = found, numbers.candidate.entries
         with contextlib.suppress(BudgetSpent):
-            self.progress.stage(GROWING)
-            runs = problem.tried(problem.called(entries))
-            near = runs is not None and problem.follow(runs.y)
-            again = self._by_own_runs(bettered(problem, entries, runs)) if near else None
-        if again is None or left_by(problem, again.fitted.y) > left_by(problem, numbers.y):
-            problem.plant, problem.idle = found.plant, found.idle
-            return None
-        return again
+            for begin in (np.where(start > 0.0, start, entries), entries):
+                self.progress.stage(GROWING)
+                runs = problem.tried(problem.called(begin))
+                near = runs is not None and problem.follow(runs.y)
+                made = self._by_own_runs(bettered(problem, begin, runs)) if near else None
+                if made is not None and left_by(problem, made.fitted.y) <= left_by(problem, best.fitted.y):
+                    best = made
+                    if is_white(parts_of(problem, made.fitted.y)[0]):
+                        break
+        problem.plant, problem.idle = best.plant, best.idle
+        return best if best is not found else None
 
     def again(self, found: Beginning) -> Beginning | None:
         """Where laws are looked for once more if no law explains anything: with the plant about the numbers that were
@@ -140,7 +145,15 @@ class Beginner:
             return None
         here, entries = found.linear.setup.here, fitted.candidate.entries
         errors = np.sqrt(np.diag(fitted.fit.covariance)[: len(entries)])
-        return self._about_numbers(found) if np.any(np.abs(entries - here) > STILL * errors) else None
+        if not np.any(np.abs(entries - here) > STILL * errors):
+            return None
+        made = None
+        with contextlib.suppress(BudgetSpent):
+            self.progress.stage("linearizing the simulator about the fitted numbers")
+            made = self._about_numbers(found)
+        if made is None:
+            problem.plant, problem.idle = found.plant, found.idle
+        return made
 
     def _led_further(self, found: Beginning, runs: Runs) -> tuple[Beginning, Runs]:
         """From far away numbers come nearer at a time: led with these a simulator answers more as it does along the

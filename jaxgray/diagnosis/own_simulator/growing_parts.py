@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...identification.refinement.conic import pseudo_inverse, step_inside
+from ...identification.refinement.conic import pseudo_inverse, step_inside, undetermined
 from ...numerics.matrices.positive import ClarabelSolver
 from .. import settings
 from ..estimation.gauss_newton import NOTHING, Refit
@@ -90,7 +90,11 @@ class Grown:
             table[:, first : first + columns.shape[1] - count] = columns[:, count:]
             H, first = H + table.T @ table, first + columns.shape[1] - count
         covariance = pseudo_inverse(H, NOTHING)
-        return dataclasses.replace(fit, residual=tuple(residuals), jacobian=tuple(jacobians), covariance=covariance)
+        # Of numbers that were held, what was known before stays.
+        loose, moved = np.array(fit.undetermined), np.flatnonzero(np.diag(H)[:count] > 0.0)
+        loose[moved] = undetermined(H[np.ix_(moved, moved)], NOTHING)
+        told = {"residual": tuple(residuals), "jacobian": tuple(jacobians), "undetermined": loose}
+        return dataclasses.replace(fit, covariance=covariance, **told)
 
 
 @dataclass(frozen=True)

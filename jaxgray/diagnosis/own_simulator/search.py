@@ -114,7 +114,7 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     found = beginner.begin(baseline, start, lambda: _tells(balanced()))
     if found is None:
         return balanced()
-    found = beginner.better(found) or found
+    found = beginner.better(found, start) or found
     given = {"context_of": context_of, "baseline": baseline, "start": start, "most": max_effects}
     context, states, settled = _laws(problem, found, **given)
     if not settled and (again := beginner.again(found)) is not None:
