@@ -82,7 +82,7 @@ def test_a_law_is_no_surer_than_a_number_that_went_back(monkeypatch, off):
     monkeypatch.setattr(necessary_numbers, "Layout", lambda *given: layout)
     back, restricted = necessary_numbers._Ellipsoid(settled, np.ones(1), 200).conditional(np.zeros(1, bool))
     shown = Simulated(SimpleNamespace(entries=np.ones(1)), Fitted(candidate, restricted, loose), settled.linear)
-    found = shown, np.zeros(1, bool), {}, {}
+    found = shown, np.zeros(1, bool), {}, {}, np.zeros(2)
     monkeypatch.setattr(necessary_numbers._Fewer, "found", lambda self: found)
     made = necessary_numbers.necessary(None, settled, np.ones(1), 200, lambda one, other: None).settled
     error, gone = np.sqrt(made.fit.covariance[1, 1]), abs(back[1] - 2.0)
@@ -90,6 +90,26 @@ def test_a_law_is_no_surer_than_a_number_that_went_back(monkeypatch, off):
     likely = 1 / (1 + np.exp((np.log(200) - off**2) / 2))
     assert error == pytest.approx(np.hypot(np.sqrt(restricted[1, 1]), np.sqrt(likely) * gone), rel=1e-6)
     assert gone == pytest.approx(0.0099 * off) and made.fit.covariance[0, 0] == 0.0
+
+
+def test_runs_say_what_a_number_that_went_back_asks_of_the_others(monkeypatch):
+    """Two numbers, of which runs that hang sharply on them miss the second one by 40 units, and no other data do."""
+    whole, fewer = (SimpleNamespace(entries=np.array(entries)) for entries in ([2.0, 1.1], [2.5, 1.0]))
+    layout = SimpleNamespace(vector=lambda one: one.entries)
+    about = SimpleNamespace(layout=layout, theta=whole.entries, penalty=10.0, count=2, known=np.ones(2, bool))
+    about.free_only = lambda: np.ones(2, bool)
+    settled = SimpleNamespace(candidate=whole, y="whole", pushed=("forces",))
+    other = SimpleNamespace(candidate=fewer, y="fewer")
+    search = necessary_numbers._Fewer
+    monkeypatch.setattr(search, "_with", lambda self, free: None if free[1] else other)
+    monkeypatch.setattr(search, "_doubtful", lambda self, free: [1] if free[1] else [])
+    monkeypatch.setattr(search, "_missed", lambda *given: False)
+    monkeypatch.setattr(search, "_left", lambda self, one, two: 40.0 * ((one.y == "fewer") - (two.y == "fewer")))
+    monkeypatch.setattr(search, "_worth", lambda *given: np.inf)
+    monkeypatch.setattr(search, "_rivals", lambda *given: ())
+    shown, free, _, _, spread = search(None, settled, about, lambda one, two: None).found()
+    assert shown is other and list(free) == [True, False]
+    np.testing.assert_allclose(spread, np.array([0.5, 0.1]) ** 2, rtol=1e-5)
 
 
 def test_a_number_and_a_law_that_stand_for_one_another_are_both_told():

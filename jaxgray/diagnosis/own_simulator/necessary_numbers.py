@@ -125,7 +125,7 @@ class _Ellipsoid:
         **Reference:** Hoeting, Madigan, Raftery & Volinsky, Statistical Science 14 (1999) 382-417.
         """
         evidence = self.cost(free) - self.cost(free | (np.arange(self.count) == k)) - self.penalty
-        return float(scipy.special.expit(evidence / 2))
+        return _chance(evidence)
 
     def swapped(self, free: Bool[np.ndarray, " numbers"], k: int) -> list[tuple[int, np.ndarray]]:
         """Every number that could be free in the place of one, and which are free then."""
@@ -158,10 +158,10 @@ def necessary(
         entries = settled.candidate.entries
         moved = (Moved(int(k), float(sizes[k] ** 2 - about.penalty), entries[k], errors[k]) for k in clear)
         return Necessary(settled, tuple(moved), entries, errors)
-    shown, free, gains, rivals = fewer
+    shown, free, gains, rivals, spread = fewer
     shown = _sharpened(problem, shown, free)
-    values, errors, spread = start.copy(), np.zeros(about.count), np.zeros(len(about.theta))
-    # Slopes of runs that hang sharply on the numbers tell nothing of those that stay.
+    values, errors = start.copy(), np.zeros(about.count)
+    # Slopes of runs that hang sharply on the numbers tell nothing of those that stay: runs without them do.
     for k in () if settled.pushed else np.flatnonzero(about.known):
         theta, covariance = about.conditional(free | (np.arange(about.count) == k))
         values[k], errors[k] = max(theta[k], 0.0), np.sqrt(max(covariance[k, k], 0.0))
@@ -202,23 +202,27 @@ class _Fewer:
     about: _Ellipsoid
     gain: Callable[[Outputs, Outputs], Gain]
 
-    def found(self) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict, dict] | None:
-        """What is settled with them, which they are, what each gains and which others serve in its place; None where
+    def found(self) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict, dict, np.ndarray] | None:
+        """What is settled with them, which they are, what each gains and which others serve in its place, and the
+        squares of what runs that hang sharply on the numbers ask of all parameters for those that went back; None where
         runs with few numbers leave more than they are worth."""
         free = self.about.free_only()
         shown = self._with(free) if np.any(self.about.known & ~free) else self.settled
         if shown is None or not self._left(shown, self.settled) <= self._worth(self.about.known & ~free):
             return None
-        needless = True
+        needless, spread = True, np.zeros(len(self.about.theta))
         while needless:
             gains, needless = {}, False
             for k in self._doubtful(free):
                 other = self._with(_without(free, k))
                 gains[k] = None if other is None else self.gain(other.y, shown.y)
                 if needless := other is not None and not self._missed(other, shown, gains[k]):
+                    if self.settled.pushed:
+                        one, two = (self.about.layout.vector(settled.candidate) for settled in (shown, other))
+                        spread += _chance(self._left(other, shown) - self.about.penalty) * (two - one) ** 2
                     free, shown = _without(free, k), other
                     break
-        return shown, free, gains, {k: self._rivals(shown, free, k) for k in np.flatnonzero(free)}
+        return shown, free, gains, {k: self._rivals(shown, free, k) for k in np.flatnonzero(free)}, spread
 
     def _doubtful(self, free: Bool[np.ndarray, " numbers"]) -> list[int]:
         """Numbers of which the simulator is asked whether they have to be other, those with least evidence first: of
@@ -314,6 +318,11 @@ class _Fewer:
             J = self.about.layout.widened(J, record)[: len(part.e)]
             g = g + np.einsum("noj,no->j", J / scale[:, None], part.e / scale)
         return g
+
+
+def _chance(evidence: float) -> float:
+    """Probability of a model beside one without a number of its own, by the evidence for it, a difference of BIC."""
+    return float(scipy.special.expit(evidence / 2))
 
 
 def _without(free: Bool[np.ndarray, " numbers"], k: int) -> Bool[np.ndarray, " numbers"]:
