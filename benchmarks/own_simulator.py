@@ -115,7 +115,9 @@ def main():
     rows = campaign("own simulator", judged, EFFECTS, 56, 30)
     rounds = [r["runs_a_round"] for r in rows if "runs_a_round" in r]
     off = np.array([one for r in rows for one in r.get("law_deviations", [])])
-    print(f"sizes of laws: off by {np.sqrt(np.mean(off**2)):.2f} standard errors, at most {np.max(np.abs(off)):.1f}")
+    if len(off):
+        rms, most = np.sqrt(np.mean(off**2)), np.max(np.abs(off))
+        print(f"sizes of laws: off by {rms:.2f} standard errors in the root mean square, at most {most:.1f}")
     print(f"runs of a record's length a round: median {np.median(rounds):.0f}, most {np.max(rounds):.0f}")
 
 

@@ -8,7 +8,7 @@ import pendulum
 
 import jaxgray
 from jaxgray.diagnosis.estimation.gauss_newton import Refit
-from jaxgray.diagnosis.own_simulator.growing_parts import Ended, Grown, bettered, grown
+from jaxgray.diagnosis.own_simulator.growing_parts import Ended, Grown, bettered, grown, sharpened
 from jaxgray.diagnosis.own_simulator.runs.calls import Simulator
 from jaxgray.diagnosis.own_simulator.runs.problem import Problem, Span, sized
 from jaxgray.diagnosis.own_simulator.runs.tracking import near_until, relative_error
@@ -101,6 +101,13 @@ def test_a_fit_says_of_its_own_runs_what_is_not_determined():
     assert list(held.fit(problem, before).undetermined)[:4] == [False, True, False, False]
 
 
+def test_where_nothing_is_left_to_fit_runs_stay_as_they_are():
+    problem = problem_of(measured())
+    true, none = START_NEAR / 1.01, (np.zeros((SAMPLES, 1)),)
+    found = sharpened(problem, true, np.zeros(len(GIVEN), bool), none)
+    assert found is not None and np.array_equal(found.entries, true) and not np.any(found.slopes[0])
+
+
 def test_a_law_that_is_missing_is_seen_before_more_runs_are_spent():
     problem, true = problem_of(measured(pendulum.cogging, 0.02)), np.array(list(pendulum.TRUTH.values())) / UNITS
     runs = problem.tried(problem.called(true))
@@ -115,7 +122,7 @@ def test_what_numbers_do_not_explain_ends_it_soon():
         problem = problem_of(measured(pendulum.cogging, 0.3, seed=seed))
         assert isinstance(grown(problem, START), Ended)
         spent += problem.simulator.samples / SAMPLES
-    assert spent < 9.0, "lengths of the record, of which steps that lead nowhere took three more"
+    assert spent < 9.0, "lengths of the record, of which steps that lead nowhere took four more"
 
 
 def test_a_simulator_that_fails_on_the_way_ends_it():

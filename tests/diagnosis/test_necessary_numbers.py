@@ -82,7 +82,7 @@ def test_a_law_is_no_surer_than_a_number_that_went_back(monkeypatch, off):
     monkeypatch.setattr(necessary_numbers, "Layout", lambda *given: layout)
     back, restricted = necessary_numbers._Ellipsoid(settled, np.ones(1), 200).conditional(np.zeros(1, bool))
     shown = Simulated(SimpleNamespace(entries=np.ones(1)), Fitted(candidate, restricted, loose), settled.linear)
-    found = shown, np.zeros(1, bool), {}, {}, np.zeros(2)
+    found = shown, np.zeros(1, bool), {}, {}, {}
     monkeypatch.setattr(necessary_numbers._Fewer, "found", lambda self: found)
     made = necessary_numbers.necessary(None, settled, np.ones(1), 200, lambda one, other: None).settled
     error, gone = np.sqrt(made.fit.covariance[1, 1]), abs(back[1] - 2.0)
@@ -107,9 +107,10 @@ def test_runs_say_what_a_number_that_went_back_asks_of_the_others(monkeypatch):
     monkeypatch.setattr(search, "_left", lambda self, one, two: 40.0 * ((one.y == "fewer") - (two.y == "fewer")))
     monkeypatch.setattr(search, "_worth", lambda *given: np.inf)
     monkeypatch.setattr(search, "_rivals", lambda *given: ())
-    shown, free, _, _, spread = search(None, settled, about, lambda one, two: None).found()
+    shown, free, _, _, gone = search(None, settled, about, lambda one, two: None).found()
     assert shown is other and list(free) == [True, False]
-    np.testing.assert_allclose(spread, np.array([0.5, 0.1]) ** 2, rtol=1e-5)
+    assert list(gone) == [1]
+    np.testing.assert_allclose(gone[1], np.array([0.5, 0.1]) ** 2, rtol=1e-5)
 
 
 def test_a_number_and_a_law_that_stand_for_one_another_are_both_told():

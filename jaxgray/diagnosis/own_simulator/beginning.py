@@ -118,9 +118,7 @@ class Beginner:
         (`start`), but for those of which nothing was given, and where that leads to no end, at those that were fitted:
         some of these may have gone astray to make up for a gap that is open or shut for too long."""
         problem, numbers = self.problem, found.fitted
-        if numbers is None or found.by_runs or is_white(parts_of(problem, numbers.y)[0]):
-            return None
-        if self._law_is_missing(found.followed, numbers):
+        if numbers is None or found.by_runs or is_white(parts_of(problem, numbers.y)[0]) or self._law_is_missing(found):
             return None
         best, entries = found, numbers.candidate.entries
         with contextlib.suppress(BudgetSpent):
@@ -182,12 +180,12 @@ class Beginner:
     def _moved_on(self, found: Beginning, runs: Runs) -> Beginning:
         """With the plant about the numbers, where these have led the simulator to where it may answer otherwise: from
         far away, or much nearer without standing still."""
-        problem, fitted, led = self.problem, found.fitted, found.followed
+        problem, fitted = self.problem, found.fitted
         if fitted is None or not problem.follow(fitted.y):
             return found
         near, nearer = problem.follow(runs.y), left_by(problem, fitted.y) - left_by(problem, runs.y)
         much = nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
-        moved = (not near or (much and not fitted.still)) and not self._law_is_missing(led, fitted)
+        moved = (not near or (much and not fitted.still)) and not self._law_is_missing(found)
         again = self._about_numbers(found) if moved else None
         return again if again is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y) else found
 
@@ -206,12 +204,13 @@ class Beginner:
         far = np.abs(led.calls[0].numbers / self.problem.units - fitted.candidate.entries)
         return led.slopes if led.along and np.all(far <= ALIKE) else None
 
-    def _law_is_missing(self, led: Runs, fitted: Settled) -> bool:
+    def _law_is_missing(self, found: Beginning) -> bool:
         """Whether numbers alone leave more than noise in the linear plant, and that is for a law to explain: they leave
         much, or are nearly those of the runs that the plant was first about. With others it may answer otherwise, as
         where a gap opens in a gear."""
+        fitted = found.fitted
         much = not nearly_followed(self.problem, fitted.y)
-        return _lacking(fitted) and (much or self._known(led, fitted) is not None)
+        return _lacking(fitted) and (much or self._known(found.followed, fitted) is not None)
 
     def _begun(self, about: Runs, entries: np.ndarray, by_runs: Grown | None = None) -> Beginning:
         """That about some runs, with the forces that numbers take there."""
@@ -335,12 +334,12 @@ class Beginner:
         return followed
 
 
-def _settled(problem: Problem, fitted: Settled | None, still: bool = True) -> bool:
-    """Whether numbers alone stand still, if that is enough; or leave nothing but noise, or something that no numbers
-    explain in the linear plant itself."""
+def _settled(problem: Problem, fitted: Settled | None) -> bool:
+    """Whether numbers alone stand still, or leave nothing but noise, or something that no numbers explain in the linear
+    plant itself."""
     if fitted is None:
         return False
-    return (still and fitted.still) or _lacking(fitted) or is_white(parts_of(problem, fitted.y)[0])
+    return fitted.still or _lacking(fitted) or is_white(parts_of(problem, fitted.y)[0])
 
 
 def _lacking(fitted: Settled) -> bool:

@@ -278,7 +278,8 @@ class _Fit:
         for k, (y, S) in enumerate(zip(self.y, slopes)):
             if known:
                 S[:, :, :known] = self.slopes[k][:, :, :known]
-            S[:, :, moving] = np.stack([runs[k] - y for runs in made], axis=2) / change[moving]
+            for unknown, runs in zip(np.flatnonzero(moving), made):
+                S[:, :, unknown] = (runs[k] - y) / change[unknown]
         return dataclasses.replace(self, slopes=slopes, fresh=True)
 
     def rows(self, values: tuple[np.ndarray, ...]) -> Float[np.ndarray, "rows *columns"]:

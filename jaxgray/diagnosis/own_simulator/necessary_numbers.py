@@ -158,17 +158,19 @@ def necessary(
         entries = settled.candidate.entries
         moved = (Moved(int(k), float(sizes[k] ** 2 - about.penalty), entries[k], errors[k]) for k in clear)
         return Necessary(settled, tuple(moved), entries, errors)
-    shown, free, gains, rivals, spread = fewer
+    shown, free, gains, rivals, gone = fewer
     shown = _sharpened(problem, shown, free)
-    values, errors = start.copy(), np.zeros(about.count)
+    values, errors, spread = start.copy(), np.zeros(about.count), np.zeros(len(about.theta))
     # Slopes of runs that hang sharply on the numbers tell nothing of those that stay: runs without them do.
     for k in () if settled.pushed else np.flatnonzero(about.known):
         theta, covariance = about.conditional(free | (np.arange(about.count) == k))
         values[k], errors[k] = max(theta[k], 0.0), np.sqrt(max(covariance[k, k], 0.0))
         if not free[k]:
-            # What serves in the place of a number is said beside it.
-            apart = [all(one.k != k for one in rivals.get(j, ())) for j in range(len(theta))]
-            spread += about.chance(free, k) * (apart * (theta - about.conditional(free)[0])) ** 2
+            gone[k] = about.chance(free, k) * (theta - about.conditional(free)[0]) ** 2
+    for k, asked in gone.items():
+        # What serves in the place of a number is said beside it.
+        apart = [all(one.k != k for one in rivals.get(j, ())) for j in range(len(spread))]
+        spread += np.where(apart, asked, 0.0)
     # Laws are no surer than the numbers beside them.
     covariance = shown.fit.covariance + np.diag(np.where(np.diag(shown.fit.covariance) > 0.0, spread, 0.0))
     shown = dataclasses.replace(shown, fit=dataclasses.replace(shown.fit, covariance=covariance))
@@ -202,15 +204,15 @@ class _Fewer:
     about: _Ellipsoid
     gain: Callable[[Outputs, Outputs], Gain]
 
-    def found(self) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict, dict, np.ndarray] | None:
-        """What is settled with them, which they are, what each gains and which others serve in its place, and the
-        squares of what runs that hang sharply on the numbers ask of all parameters for those that went back; None where
-        runs with few numbers leave more than they are worth."""
+    def found(self) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict, dict, dict] | None:
+        """What is settled with them, which they are, what each gains and which others serve in its place; and of runs
+        that hang sharply on the numbers, for every one that went back, the squares by which that moved all parameters,
+        times its chance to be other after all. None where runs with few numbers leave more than they are worth."""
         free = self.about.free_only()
         shown = self._with(free) if np.any(self.about.known & ~free) else self.settled
         if shown is None or not self._left(shown, self.settled) <= self._worth(self.about.known & ~free):
             return None
-        needless, spread = True, np.zeros(len(self.about.theta))
+        needless, gone = True, {}
         while needless:
             gains, needless = {}, False
             for k in self._doubtful(free):
@@ -219,10 +221,10 @@ class _Fewer:
                 if needless := other is not None and not self._missed(other, shown, gains[k]):
                     if self.settled.pushed:
                         one, two = (self.about.layout.vector(settled.candidate) for settled in (shown, other))
-                        spread += _chance(self._left(other, shown) - self.about.penalty) * (two - one) ** 2
+                        gone[k] = _chance(self._left(other, shown) - self.about.penalty) * (two - one) ** 2
                     free, shown = _without(free, k), other
                     break
-        return shown, free, gains, {k: self._rivals(shown, free, k) for k in np.flatnonzero(free)}, spread
+        return shown, free, gains, {k: self._rivals(shown, free, k) for k in np.flatnonzero(free)}, gone
 
     def _doubtful(self, free: Bool[np.ndarray, " numbers"]) -> list[int]:
         """Numbers of which the simulator is asked whether they have to be other, those with least evidence first: of
