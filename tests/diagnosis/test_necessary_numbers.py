@@ -21,7 +21,7 @@ def test_a_run_that_is_no_number_is_refused(monkeypatch, left, used):
     monkeypatch.setattr(necessary_numbers.dataclasses, "replace", lambda one, **changes: changes)
     about = SimpleNamespace(layout=layout, theta=np.ones(2), count=2)
     fewer = necessary_numbers._Fewer(None, SimpleNamespace(candidate=None, fit=None), about, None)
-    assert (fewer._moved(np.zeros(2), np.eye(2)) is not None) == used
+    assert (fewer._moved(np.zeros(2), np.eye(2), 10.0) is not None) == used
 
 
 @pytest.mark.parametrize(
@@ -72,6 +72,27 @@ class Simulated:
     pushed: tuple = ()
 
 
+@pytest.mark.parametrize(
+    ("evidence", "apart", "clear"),
+    [(130.0, 1.0, True), (110.0, 1.0, False), (2000.0, 0.2, True), (300.0, 0.2, False), (1e6, 0.1, False)],
+)
+def test_evidence_of_a_number_is_clear_however_wrong_slopes_are(evidence, apart, clear):
+    fewer = necessary_numbers._Fewer(None, None, SimpleNamespace(apart=lambda free, k: apart), None)
+    assert fewer._clear(evidence, np.ones(2, bool), 0) == clear
+
+
+def test_no_run_is_spent_where_slopes_foretell_nothing(monkeypatch):
+    """A number that went back leaves 30 units whatever the other does, of which a step would mend 0.01."""
+    about = SimpleNamespace(theta=np.zeros(2), conditional=lambda free: (np.array([0.0, 1.0]), 1e-2 * np.eye(2)))
+    search, runs = necessary_numbers._Fewer, []
+    monkeypatch.setattr(search, "_moved", lambda self, *given: runs.append(given) or SimpleNamespace(y="there"))
+    monkeypatch.setattr(search, "_hopeless", lambda self, *given: False)
+    monkeypatch.setattr(search, "_left", lambda *given: 30.0)
+    monkeypatch.setattr(search, "_slope", lambda *given: np.array([0.0, 1.0]))
+    assert search(None, None, about, None)._with(np.array([False, True]), 50.0).y == "there"
+    assert len(runs) == 1
+
+
 @pytest.mark.parametrize("off", [0.0, 2.0, 4.0, 6.0])
 def test_a_law_is_no_surer_than_a_number_that_went_back(monkeypatch, off):
     """`off`: standard errors by which the number was off."""
@@ -101,7 +122,7 @@ def test_runs_say_what_a_number_that_went_back_asks_of_the_others(monkeypatch):
     settled = SimpleNamespace(candidate=whole, y="whole", pushed=("forces",))
     other = SimpleNamespace(candidate=fewer, y="fewer")
     search = necessary_numbers._Fewer
-    monkeypatch.setattr(search, "_with", lambda self, free: None if free[1] else other)
+    monkeypatch.setattr(search, "_with", lambda self, free, within: None if free[1] else other)
     monkeypatch.setattr(search, "_doubtful", lambda self, free: [1] if free[1] else [])
     monkeypatch.setattr(search, "_missed", lambda *given: False)
     monkeypatch.setattr(search, "_left", lambda self, one, two: 40.0 * ((one.y == "fewer") - (two.y == "fewer")))

@@ -20,7 +20,7 @@ from ..screening.score_test import Score
 from ..search.confusable import alike, resemble
 from ..search.state import Accepted, SearchState
 from .runs.problem import Linear, Outputs, Problem, parts_of
-from .settling import NEARER, Settled, left_by, left_of, settle
+from .settling import NEARER, WRONG, Settled, foreseen_by, left_by, left_of, settle, settled_further
 
 MOST = 4
 """Laws that are settled in the simulator in one round."""
@@ -71,9 +71,14 @@ def chosen(
 
     def tried(name: tuple[str, str], begin: tuple[SearchContext, Refit, Linear]) -> None:
         nonlocal beyond, best, failure
+        if begin[2] is not wholes:
+            # About runs that are near the records, what the linear plant leaves says how near its own runs may come.
+            foretold = left_of(foreseen_by(begin[1], begin[0].data))
+            if foretold + problem.record.outputs * WRONG > beyond:
+                return
         context.progress.unlimited.stage(f"trying {name[0]} at {name[1]} in the simulator")
         try:
-            one = settle(problem, *begin, beyond=beyond)
+            one = settle(problem, *begin, beyond=beyond, nearly=True)
         except ComputationError as error:
             failure = error
             return
@@ -94,6 +99,9 @@ def chosen(
             tried(name, begin)
     criteria, count = _criteria(problem, settled)
     first = min(criteria, key=criteria.__getitem__)
+    if count * left_by(problem, before) - criteria[first] >= settings.MIN_DELTA_BIC:
+        settled[first] = settled_further(problem, context, settled[first])
+        criteria, count = _criteria(problem, settled)
     without = count * left_by(problem, before)
 
     def attempt(name: tuple[str, str]) -> Attempt:

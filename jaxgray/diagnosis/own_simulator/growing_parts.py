@@ -55,9 +55,10 @@ DAMPINGS, BY_OLD = (1e-3, 1e-1, 10.0), 1
 """Of steps that are tried, relative to the diagonal of the normal equations, where the one before did not go down; and
 how many of them by slopes of steps before."""
 
-STRAIGHT, ACCELERATION, WAYS = 0.1, 0.75, 0.8 ** np.arange(1, 15)
-"""How far a step may end from where slopes foretold, relative to its length, for these to serve on; by how much a way
-may bend, relative to its length; and shares of a step that are weighed."""
+STRAIGHT, TOLD, ACCELERATION, WAYS = 0.1, 0.8, 0.75, 0.8 ** np.arange(1, 15)
+"""How far a step may end from where slopes foretold, relative to its length, for these to serve on; the part of the
+fall that they foretold by which it must come down for them to tell where none leads; by how much a way may bend,
+relative to its length; and shares of a step that are weighed."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +253,8 @@ class _Unknowns:
 @dataclass(frozen=True)
 class _Fit:
     """Unknowns as far as they are fitted over a `window`: their `vector`, runs `y` with it, and slopes of these runs by
-    every unknown (none with those that are not free), `fresh` where they were taken there."""
+    every unknown (none with those that are not free), `fresh` where they were taken there; and whether they `told` what
+    the last step left."""
 
     window: _Window
     unknowns: _Unknowns
@@ -260,6 +262,7 @@ class _Fit:
     y: Outputs
     slopes: tuple[Float[np.ndarray, "samples outputs unknowns"], ...] = ()
     fresh: bool = False
+    told: bool = False
 
     @property
     def left(self) -> float:
@@ -334,8 +337,9 @@ class _Fit:
         along, missed = scale * step / max(step @ (scale * step), 1e-300), self._missed(step, made)
         slopes = tuple(S + one[:, :, None] * along for S, one in zip(self.slopes, missed))
         bent = np.linalg.norm(self.rows(missed)) / max(np.linalg.norm(self.rows(self.slopes) @ step), 1e-300)
-        fresh = self.fresh and bent < STRAIGHT
-        return dataclasses.replace(self, vector=vector, y=made, slopes=slopes, fresh=fresh), made
+        above, ahead, there = (self.window.above(y) for y in (self.y, self._foreseen(step), made))
+        fit = dataclasses.replace(self, vector=vector, y=made, slopes=slopes, fresh=self.fresh and bent < STRAIGHT)
+        return dataclasses.replace(fit, told=above - there >= TOLD * (above - ahead)), made
 
     def _missed(self, step: Float[np.ndarray, " unknowns"], made: Outputs) -> Outputs:
         """By what runs after a step are not where slopes foretold."""
@@ -382,10 +386,11 @@ class _Fit:
                     return None
             ahead = now.down()
             slow = ahead is not None and ahead.slower(now)
-            if slow and now.fresh:
+            sure = now.fresh or (now.told and not exact)
+            if slow and sure:
                 return None if exact else ahead
             flat = slow or ahead is None or ahead.left > now.left - FLAT
-            if flat and now.fresh:
+            if flat and sure:
                 # So short a step changes no slopes.
                 return now if ahead is None else dataclasses.replace(ahead, slopes=now.slopes, fresh=True)
             now = ahead or now
@@ -416,9 +421,11 @@ class _Fit:
         return self.window.followed(self.foreseen(), NEARLY)
 
     def foreseen(self) -> Outputs:
-        """Runs after a step, as slopes foretell them."""
+        """Runs after the best step, as slopes foretell them."""
         H, g = self.normal()
-        step = pseudo_inverse(H, NOTHING) @ g
+        return self._foreseen(pseudo_inverse(H, NOTHING) @ g)
+
+    def _foreseen(self, step: Float[np.ndarray, " unknowns"]) -> Outputs:
         return tuple(y + S @ step for y, S in zip(self.y, self.slopes))
 
 
@@ -443,10 +450,10 @@ def nearly_followed(problem: Problem, y: Outputs) -> bool:
 
 def bettered(problem: Problem, entries: Float[np.ndarray, " numbers"], runs: Runs) -> Grown | None:
     """Numbers that follow all data of the fit but for noise, from some with which `runs` are near; None where slopes
-    there foretell that none do."""
+    there foretell that none do, or lead hardly nearer."""
     unknowns = _Unknowns.alone(problem, np.ones(len(entries), bool))
     fit = _Fit(_Window(problem, 1.0), unknowns, np.array(entries, float), runs.y).sloped()
-    if fit is None or not fit.promises():
+    if fit is None or not (fit.promises() and fit.leads()):
         return None
     return _finished(problem, fit.begun(_Window(problem, BEGIN), exact=True))
 

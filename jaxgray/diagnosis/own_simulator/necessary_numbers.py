@@ -24,10 +24,10 @@ from ..model.free_run import rms_of
 from ..model.parameter_vector import Layout
 from .growing_parts import sharpened
 from .runs.problem import Outputs, Problem, parts_of
-from .settling import Settled, left_by, left_of, shown_by
+from .settling import STILL, Settled, left_by, left_of, shown_by
 
-APART = 0.2
-"""Least share of what a number does that nothing else does, for slopes, right to a tenth, to tell them apart."""
+SLOPES = 0.1
+"""By how much slopes may be wrong, relative to what a number does."""
 
 CORRECTIONS = 2
 """Gauss-Newton steps in which the rest of a fit comes to where it is best beside numbers as they were given."""
@@ -209,14 +209,15 @@ class _Fewer:
         that hang sharply on the numbers, for every one that went back, the squares by which that moved all parameters,
         times its chance to be other after all. None where runs with few numbers leave more than they are worth."""
         free = self.about.free_only()
-        shown = self._with(free) if np.any(self.about.known & ~free) else self.settled
-        if shown is None or not self._left(shown, self.settled) <= self._worth(self.about.known & ~free):
+        given = self._worth(self.about.known & ~free)
+        shown = self._with(free, given) if np.any(self.about.known & ~free) else self.settled
+        if shown is None or not self._left(shown, self.settled) <= given:
             return None
         needless, gone = True, {}
         while needless:
             gains, needless = {}, False
             for k in self._doubtful(free):
-                other = self._with(_without(free, k))
+                other = self._with(_without(free, k), self._left(shown, self.settled) + self._worth(1))
                 gains[k] = None if other is None else self.gain(other.y, shown.y)
                 if needless := other is not None and not self._missed(other, shown, gains[k]):
                     if self.settled.pushed:
@@ -230,18 +231,22 @@ class _Fewer:
         """Numbers of which the simulator is asked whether they have to be other, those with least evidence first: of
         which slopes say little beside the others, or all where these are of runs that hang sharply on the numbers."""
         evidence = {int(k): self.about.moved(free, k).evidence for k in np.flatnonzero(free)}
-        most = np.inf if self.settled.pushed else settings.CLEAR_DELTA_BIC
-        asked = (k for k in evidence if evidence[k] < most or self.about.apart(free, k) < APART)
+        asked = (k for k in evidence if self.settled.pushed or not self._clear(evidence[k], free, k))
         return sorted(asked, key=evidence.__getitem__)
+
+    def _clear(self, evidence: float, free: Bool[np.ndarray, " numbers"], k: int) -> bool:
+        """Whether evidence by slopes that a number is other is clear, however wrong these are: what it alone does may
+        be less by that."""
+        sure = max(1 - SLOPES / max(self.about.apart(free, k), SLOPES), 0.0)
+        return evidence * sure**2 >= settings.CLEAR_DELTA_BIC
 
     def _rivals(self, shown: Settled, free: Bool[np.ndarray, " numbers"], k: int) -> tuple[Moved, ...]:
         """Numbers that serve in the place of one in the simulator itself, the best first. Of two that do the same the
         slopes differ by their rounding alone, in which there is no information."""
-        near = {}
+        near, within = {}, self._left(shown, self.settled) + settings.CLASS_DELTA_BIC
         for j, other in self.about.swapped(free, k):
-            worse, both = self.about.cost(other) - self.about.cost(free), free | other
-            if worse < settings.CLEAR_DELTA_BIC or self.about.apart(both, k) < APART:
-                there = self._with(other)
+            if not self._clear(self.about.cost(other) - self.about.cost(free), free | other, k):
+                there = self._with(other, within)
                 behind = np.inf if there is None else self._left(there, shown)
                 if behind < settings.CLASS_DELTA_BIC:
                     one, value = self.about.moved(other, j), float(there.candidate.entries[j])
@@ -255,8 +260,8 @@ class _Fewer:
         beyond = settings.MIN_DELTA_BIC
         return evidence >= beyond and (unproven(gain) is None or self._left_unseen(without, shown) >= beyond)
 
-    def _worth(self, given: Bool[np.ndarray, " numbers"]) -> float:
-        """What runs may leave more with these numbers as they were given."""
+    def _worth(self, given: Bool[np.ndarray, " numbers"] | int) -> float:
+        """What runs may leave more with these numbers, or so many, as they were given."""
         return float(np.sum(given)) * (self.about.penalty + settings.MIN_DELTA_BIC)
 
     def _left(self, one: Settled, other: Settled) -> float:
@@ -268,48 +273,49 @@ class _Fewer:
         here, there = (parts_of(self.problem, settled.y)[1] for settled in (one, other))
         return sum(len(run.e) for run in here) * (left_of(here) - left_of(there)) if here else 0.0
 
-    def _with(self, free: Bool[np.ndarray, " numbers"]) -> Settled | None:
-        """What is settled with only some numbers moved; None where the simulator does not run so."""
+    def _with(self, free: Bool[np.ndarray, " numbers"], within: float) -> Settled | None:
+        """What is settled with only some numbers moved, to first order where nothing brings runs `within` of what is
+        settled; None where the simulator does not run so."""
         theta, covariance = self.about.conditional(free)
         step = theta - self.about.theta
-        best = self._moved(step, covariance)
+        best = self._moved(step, covariance, within)
         for _ in range(CORRECTIONS):
-            if best is None or (left := self._left(best, self.settled)) < 1.0:
+            if best is None or self._hopeless(best.y, covariance, within):
                 break
-            if self._hopeless(best.y, covariance):
-                break
-            slope = self._slope(best.y)
+            left, slope = self._left(best, self.settled), self._slope(best.y)
             further = covariance @ slope
-            ahead = self._moved(step + further, covariance)
-            # Where the slopes foretell little, the least of a parabola through both runs along the first one's slope.
             fall = float(slope @ further)
+            if fall < STILL:
+                break
+            ahead = self._moved(step + further, covariance, within)
+            # Where the slopes foretell little, the least of a parabola through both runs along the first one's slope.
             bend = np.inf if ahead is None else self._left(ahead, best) + 2 * fall
             if not bend <= fall and bend > 0.0:
                 further = further * (fall / bend if np.isfinite(bend) else 0.1)
-                ahead = self._moved(step + further, covariance)
+                ahead = self._moved(step + further, covariance, within)
             if ahead is None or not self._left(ahead, self.settled) < left:
                 break
             best, step = ahead, step + further
         return best
 
-    def _moved(self, step: Float[np.ndarray, " parameters"], covariance: np.ndarray) -> Settled | None:
+    def _moved(self, step: Float[np.ndarray, " parameters"], covariance: np.ndarray, within: float) -> Settled | None:
         """What is settled after a step from it; None where the simulator does not run so, or runs beyond all bounds."""
         about, candidate = self.about, self.settled.candidate
         vector = about.layout.moved(about.theta, step, candidate)
         vector[: about.count] = np.maximum(vector[: about.count], 0.0)
         candidate = about.layout.candidate(vector, candidate)
-        y = shown_by(self.problem, self.settled, candidate, hopeless=lambda y: self._hopeless(y, covariance))
+        y = shown_by(self.problem, self.settled, candidate, hopeless=lambda y: self._hopeless(y, covariance, within))
         if y is None or not np.isfinite(left_by(self.problem, y)):
             return None
         fit = dataclasses.replace(self.settled.fit, candidate=candidate, covariance=covariance)
         return dataclasses.replace(self.settled, candidate=candidate, fit=fit, y=y)
 
-    def _hopeless(self, y: Outputs, covariance: np.ndarray) -> bool:
-        """Whether no step brings runs near what is settled."""
+    def _hopeless(self, y: Outputs, covariance: np.ndarray, within: float) -> bool:
+        """Whether no step brings runs `within` of what is settled."""
         slope = self._slope(y)
         here, there = (rms_of(parts_of(self.problem, one)[0]) for one in (y, self.settled.y))
         left = self.about.samples * float(np.sum((here / there) ** 2 - 1))
-        return not left - FURTHER * slope @ covariance @ slope <= self._worth(np.ones(self.about.count, bool))
+        return not left - FURTHER * slope @ covariance @ slope <= within
 
     def _slope(self, y: Outputs) -> Float[np.ndarray, " parameters"]:
         """Slope of the sum of squares that runs leave, in units of the noise variance, by all parameters."""

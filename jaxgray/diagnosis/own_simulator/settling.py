@@ -35,7 +35,8 @@ CLOSED = 3
 """Runs that bring the forces of given laws along the simulator's own motion."""
 
 STILL = 0.25
-"""Change of every parameter, in standard errors, at which they do."""
+"""Change of every parameter, in standard errors, at which they do; and what the next run is foretold to leave less, in
+units of the noise variance, at which they do as well."""
 
 SAME_WAY, FURTHEST = 0.5, 5.0
 """Cosine between two steps in standard errors from which they go the same way, and how many times further than the last
@@ -62,7 +63,16 @@ class Settled:
     pushed: tuple[np.ndarray, ...] = ()
 
 
-def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear, *, beyond: float = np.inf) -> Settled:
+def settle(
+    problem: Problem,
+    context: SearchContext,
+    fit: Refit,
+    wholes: Linear,
+    *,
+    beyond: float = np.inf,
+    nearly: bool = False,
+    resumed: bool = False,
+) -> Settled:
     """Laws and numbers where they stand still in the simulator itself: run it with the forces that the laws make along
     its motion, refit in the linear plant about this run, and again.
 
@@ -70,13 +80,16 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     the simulator's own.
 
     **Arguments:** `problem`; `context` of a search in the linear plant, a `fit` there, and its whole records; `beyond`:
-    what the next runs may be expected to leave, as `left_by` has it, for another one.
+    what the next runs may be expected to leave, as `left_by` has it, for another one; `nearly`: whether it is enough
+    that the next run is foretold to come hardly nearer; `resumed`: whether the fit is in a plant about runs with
+    these laws.
 
     **Raises:** `ComputationError` where the simulator does not run with what was found.
     """
     linear, noise_model, candidate = context.simulator, noise_model_of(context, fit), fit.candidate
     best, first, nearest, mark, before, since = None, (True, np.inf), np.inf, np.inf, np.inf, 0
     steps, ends, foretold = [], [], []
+    samples = sum(span.fit.stop - span.fit.start for span in problem.spans if span.fit is not None)
     for turn in range(SETTLING):
         context.progress.unlimited.stage(f"settling in the simulator ({turn + 1})")
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
@@ -113,19 +126,21 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
         # A simulator in steps of its own answers in steps, and parameters wander where no run is any better.
         flat = since >= FLAT and left < nearest + NEARER
         closed = not candidate.terms or _as_foreseen(problem, runs, foreseen, y)
-        still = closed and turn > 0 and (largest < STILL or flat) and left < nearest + NEARER
+        # Each turn moves it less than the one before, and brings not more than the linear plant about this run says.
+        there = foreseen_by(again, data)
+        foretold.append(left_of(there))
+        stands = largest < STILL or samples * abs(left - foretold[-1]) < STILL or flat
+        still = closed and (resumed or turn > 0) and stands and left < nearest + NEARER
         ends.append((left, end))
         if (not closed, left) < first:
             best, first = Settled(again.candidate, again, linear, wholes, tuple(data), y, still), (not closed, left)
         best, nearest = dataclasses.replace(best, still=still), min(left, nearest)
-        # Each turn moves it less than the one before, and brings not more than the linear plant about this run says.
-        there = foreseen_by(again, data)
-        foretold.append(left_of(there))
         known = foretold[-1] > left + problem.record.outputs * WRONG
         hopeless, before = max(nearest - abs(left - before), foretold[-1] if known else -np.inf) > beyond, left
         # What numbers alone do not explain in the linear plant is for a law to explain.
         lacking = not candidate.terms and turn > 0 and foretold[-1] > foretold[-2] + FALLING and not is_white(there)
-        if still or since == PATIENCE or hopeless or lacking:
+        enough = nearly and closed and left < foretold[-1] + NEARER
+        if still or enough or since == PATIENCE or hopeless or lacking:
             break
         ahead = layout.moved(end, layout.limited(_further(steps[-2:], size), end), again.candidate)
         # Numbers keep their sign.
@@ -138,6 +153,18 @@ def settle(problem: Problem, context: SearchContext, fit: Refit, wholes: Linear,
     return dataclasses.replace(
         best, fit=_widened(best.fit, layout, [end for left, end in ends if left < nearest + NEARER])
     )
+
+
+def settled_further(problem: Problem, context: SearchContext, settled: Settled) -> Settled:
+    """What is nearly settled where it stands still, or as it is where further runs bring it no nearer."""
+    if settled.still:
+        return settled
+    there = dataclasses.replace(context, simulator=settled.linear, data=list(settled.data))
+    try:
+        further = settle(problem, there, settled.fit, settled.wholes, resumed=True)
+    except ComputationError:
+        return settled
+    return further if left_by(problem, further.y) <= left_by(problem, settled.y) else settled
 
 
 def foreseen_by(fit: Refit, data: tuple[Data, ...] | list[Data]) -> list[FreeRun]:

@@ -49,8 +49,9 @@ PIECES = 25
 DRY = 0.05
 """Share of a force near reversals that nothing else may explain where there is no dry friction."""
 
-ROWS = 10
-"""Samples in motion that there should be, for every unknown."""
+ROWS, PART = 10, 4
+"""Samples in motion that there should be, for every unknown; and the part of a motion, one in so many, over which it is
+asked how inputs act, which is the same along all of it."""
 
 REVERSAL = 0.1
 """Velocity about a reversal, relative to its root mean square, at which damping may be other."""
@@ -373,6 +374,9 @@ def linearized(
     if input_map is not None:
         return Linearized(M, D, K, input_map, varying)
     inputs = np.std(call.u, axis=0)
+    moved = np.cumsum(np.sum((np.gradient(y, axis=0) / size) ** 2, axis=1))
+    y = y[: max(int(np.searchsorted(moved, moved[-1] / PART)) + 1, 2 * ROWS * PIECES)]
+    call = call.until(len(y)) if simulator.stops else call
     shape = _wide_band(len(call.u), record.inputs, rng) * np.where(inputs > 0, inputs, force)
     u, answer = _answered(simulator, by_inputs, shape, y, size)
     small = _small(answer, size)
