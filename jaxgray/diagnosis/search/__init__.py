@@ -1,51 +1,59 @@
-"""Which effects are in the model: forward selection by the simulation error, measured outputs minus simulated ones.
+"""Which effects are in the model: forward selection by the simulation error. That is the measured outputs minus those
+of a free run: simulated from the initial state alone.
 
-A *structure* is a set of effects. Each has a place (a coordinate or two, an input, an output) and a shape (the values
-of the parameters that enter its law nonlinearly, such as a threshold). A *refit* of it estimates M, D, K, initial
-states and the parameters of all effects together. The search begins with the structure without effects. Every round:
+A *structure* is a set of effects (also called laws) in addition to mass, damping and stiffness M, D, K. An effect has
+a place: one coordinate, two coordinates, an input or an output. Its *shape* is a first guess of the parameters that
+enter it nonlinearly, such as a threshold; every effect has a grid of them. A *refit* of a structure estimates M, D, K,
+initial states and all parameters of all effects together, shapes included. The search begins without effects. Every
+round:
 
     Screen    the score test of every effect, at every place, in every shape, on the residual of the present structure
-    Propose   the few effects that score highest, each at its likeliest places, and every look-alike of the best one
-    Refit     each of them from every start that applies (`diagnosis.starts`); the best end of each counts
-    Order     by BIC, all under the noise model of the best refit; a law that contains a simpler one must beat it by
-              more than its further parameters gain by chance
-    Accept    the first that passes the rule of `diagnosis.acceptance`: significant, no parameter at a bound, not
-              reduced to another law by its values, a tenth of the residual above the noise removed, and a gain on
-              held-out data (99 % sure)
-    Compare   refits within ΔBIC 6 of the accepted one (look-alikes: 10) form its equivalence class
-    Prune     an accepted law that the new one contains is united with it, and needless laws are dropped; where neither
-              happens, simpler laws replace those that hardly differ from them; then the next round
+    Propose   the few effects with the highest scores, each at its best places, and what resembles the best one
+    Refit     each of these candidates from several starts (`diagnosis.starts`); of each the best refit counts
+    Order     by BIC, all under one noise model: that with which a candidate reached the best BIC. A law that contains a
+              simpler one is tried after it, unless its BIC is better by more than chance explains
+    Accept    the first candidate that passes the rule of `diagnosis.acceptance`: its amplitude is significant; no
+              parameter is at a bound; with its values it does not reduce to another law; it removes at least a tenth of
+              the residual in excess of the noise; and it gains on held-out data, with 99 % certainty
+    Compare   candidates whose BIC differs from that of the accepted one by less than 6 (if one resembles the other, by
+              less than 10) cannot be told from it: they are its equivalence class
+    Prune     a law accepted before that the new one contains becomes part of it; laws that the new one has made
+              needless are dropped. If nothing of this happened, simpler laws that explain nearly as much replace
+              accepted ones. Then the next round
 
-Where no candidate passes, the round makes other *moves*, in this order:
+If no candidate passes, the round goes on to further *moves*, in this order, until one succeeds:
 
-    1   a second score test, without the effects that failed in this round
-    2   hidden modes, at lines in the spectrum of the residual
-    3   candidates refitted under white noise, those of this round among them
-    4   the best candidate that fails for its gain on held-out data alone: kept provisionally until a second one gains
-        together with it, else withdrawn
+    1   a second score test, in which the effects that have just failed take no part
+    2   a hidden mode (a coordinate without sensor) at every line in the spectrum of the residual (`starts`)
+    3   refits under white noise: of the failed candidates, and of those that a score test under white noise gives
+    4   the best candidate that failed only for its gain on held-out data is kept for one more round; both stay if
+        another one passes in that round, otherwise neither
 
-The search ends where the score test shows nothing, where no move passes, or with `max_effects` effects. Then the
-members of every equivalence class are compared once more in the whole model.
+The search ends when the score test shows nothing, when no move succeeds, or with `max_effects` effects. Then every
+member of an equivalence class is tried once more beside all other laws of the final model.
 
 state         the search state: structure, refit, what was accepted, what was refused and why
 forward       the rounds
-proposals     which candidates a round refits, from which starts; candidates of moves 1 and 3
-acceptance    what a refit has to show for the rule: evidence, and gain on held-out data
-confusable    look-alikes, and laws that contain another and add nothing
+proposals     the candidates of a round and of moves 1 to 3, refitted from their starts
+acceptance    the clauses that judge a refit in this search, for the rule of `diagnosis.acceptance`
+confusable    which laws resemble one another, and which contain another one
 provisional   move 4
-backward      unite, drop and simplify after an acceptance
-final_swap    members of an equivalence class compared once more in the whole model
-parts         the search on a part of a long record, its findings refitted on the whole; and whether the free run loses
-              phase with the record: then candidates come from the force equation
-restart       the accepted model refitted under white noise, or from the modes of the record; kept if it leaves less
+backward      pruning
+final_swap    the last comparison of equivalence classes, in the final model
+parts         the search on a part of a long record, followed by a refit on all of it; candidates from the force
+              equation (`diagnosis.equation_error`) where free runs lose phase with the record
+restart       the accepted model refitted once more, under white noise and from the modes of the record; the refit
+              counts if its residual is smaller
 
-To add an effect: in the file of its family in `mechanics.effects` a class that declares what it `contains` and
-`resembles`; its row in `mechanics.effects.CATALOGUE`; its name for readers in `diagnosis.words.titles.NAMES`.
-To add a start (it may propose laws, too): a module in `diagnosis.starts` with a function that gives refitted
-candidates, as in `starts.other_models`; its line in `search.proposals.refitted`.
-To add a move: a module here with a function that gives refitted candidates; its name in `diagnosis.findings.Move`; its
-line in `search.forward._round`, or in `search.backward.prune` where it changes what was accepted already.
-To add a likelihood: a folder beside `diagnosis.equation_error` with a class derived from
-`diagnosis.selection.AbstractSelection`, which does the rounds and the acceptance of likelihoods whose refits cost
-little, while the class gives refits and runs; its line in `diagnosis.routing.begin`.
+To add an effect: a class in the file of its family in `mechanics.effects`, which declares what it `contains` and
+`resembles`; a row in `mechanics.effects.CATALOGUE`; its title in `diagnosis.words.titles.NAMES`.
+To add a start: a module in `diagnosis.starts` with a function that gives candidates refitted from there, as in
+`starts.other_models`; a line in `search.proposals.refitted`.
+To add a move: a module in this folder with a function that gives refitted candidates; its name in
+`diagnosis.findings.Move`; a line in `search.forward._round` (in `search.backward.prune` if it changes accepted laws); a
+line in this docstring.
+To add a likelihood (another residual than that of free runs): a folder beside `diagnosis.equation_error` with a class
+derived from `diagnosis.selection.AbstractSelection`, whose rounds and acceptance take the place of those above; the new
+class gives refits and simulations. And a line in `diagnosis.routing.begin`, which decides by what residual a record is
+judged.
 """
