@@ -70,6 +70,25 @@ class Simulated:
     fit: Fitted
     linear: SimpleNamespace
     pushed: tuple = ()
+    y: float = 0.0
+
+
+@pytest.mark.parametrize(("left", "used"), [(1.0, True), (3.0, False)])
+def test_numbers_go_on_by_own_runs_where_fewer_leave_less(monkeypatch, left, used):
+    """All numbers leave 2 of what one alone leaves 1; own runs from there leave `left`."""
+    candidate = SimpleNamespace(entries=np.array([1.5]), terms=())
+    fit = Fitted(candidate, np.array([[1e-4]]), np.zeros(1, bool))
+    settled = Simulated(candidate, fit, SimpleNamespace(setup=None), y=2.0)
+    fewer, further = dataclasses.replace(settled, y=1.0), dataclasses.replace(settled, pushed=("none",), y=left)
+    monkeypatch.setattr(necessary_numbers, "Layout", lambda *given: SimpleNamespace(vector=lambda one: one.entries))
+    monkeypatch.setattr(necessary_numbers, "left_by", lambda problem, y: y)
+    monkeypatch.setattr(necessary_numbers, "_by_own_runs", lambda *given: further)
+    monkeypatch.setattr(necessary_numbers, "_sharpened", lambda problem, shown, free: shown)
+    search = necessary_numbers._Fewer
+    monkeypatch.setattr(search, "first", lambda self: (np.ones(1, bool), fewer if self.settled.y == 2.0 else further))
+    monkeypatch.setattr(search, "found", lambda self, free, shown: (self.settled, free, {}, {0: ()}, {}))
+    made = necessary_numbers.necessary(None, settled, np.ones(1), 200, lambda one, other: None).settled
+    assert made.y == (left if used else 2.0)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +115,7 @@ def test_no_run_is_spent_where_slopes_foretell_nothing(monkeypatch):
 @pytest.mark.parametrize("off", [0.0, 2.0, 4.0, 6.0])
 def test_a_law_is_no_surer_than_a_number_that_went_back(monkeypatch, off):
     """`off`: standard errors by which the number was off."""
-    candidate = SimpleNamespace(entries=np.array([1 + 0.01 * off]))
+    candidate = SimpleNamespace(entries=np.array([1 + 0.01 * off]), terms=())
     covariance, loose = 1e-4 * np.array([[1.0, -0.99], [-0.99, 1.0]]), np.zeros(1, bool)
     settled = Simulated(candidate, Fitted(candidate, covariance, loose), SimpleNamespace(setup=None))
     layout = SimpleNamespace(vector=lambda one: np.array([*one.entries, 2.0]))
@@ -104,7 +123,9 @@ def test_a_law_is_no_surer_than_a_number_that_went_back(monkeypatch, off):
     back, restricted = necessary_numbers._Ellipsoid(settled, np.ones(1), 200).conditional(np.zeros(1, bool))
     shown = Simulated(SimpleNamespace(entries=np.ones(1)), Fitted(candidate, restricted, loose), settled.linear)
     found = shown, np.zeros(1, bool), {}, {}, {}
-    monkeypatch.setattr(necessary_numbers._Fewer, "found", lambda self: found)
+    monkeypatch.setattr(necessary_numbers._Fewer, "first", lambda self: (found[1], settled))
+    monkeypatch.setattr(necessary_numbers._Fewer, "leaves_less", lambda *given: False)
+    monkeypatch.setattr(necessary_numbers._Fewer, "found", lambda *given: found)
     made = necessary_numbers.necessary(None, settled, np.ones(1), 200, lambda one, other: None).settled
     error, gone = np.sqrt(made.fit.covariance[1, 1]), abs(back[1] - 2.0)
     # As likely as the number is other after all; below the penalty of a parameter that is hardly so.
@@ -128,7 +149,8 @@ def test_runs_say_what_a_number_that_went_back_asks_of_the_others(monkeypatch):
     monkeypatch.setattr(search, "_left", lambda self, one, two: 40.0 * ((one.y == "fewer") - (two.y == "fewer")))
     monkeypatch.setattr(search, "_worth", lambda *given: np.inf)
     monkeypatch.setattr(search, "_rivals", lambda *given: ())
-    shown, free, _, _, gone = search(None, settled, about, lambda one, two: None).found()
+    fewest = search(None, settled, about, lambda one, two: None)
+    shown, free, _, _, gone = fewest.found(*fewest.first())
     assert shown is other and list(free) == [True, False]
     assert list(gone) == [1]
     np.testing.assert_allclose(gone[1], np.array([0.5, 0.1]) ** 2, rtol=1e-5)

@@ -150,7 +150,15 @@ def necessary(
     stay as they were fitted. So they do where the simulator itself misses those that went back.
     """
     about = _Ellipsoid(settled, start, samples)
-    fewer = None if gain is None else _Fewer(problem, settled, about, gain).found()
+    search = None if gain is None else _Fewer(problem, settled, about, gain)
+    first = None if search is None else search.first()
+    runs_alone = not (settled.pushed or settled.candidate.terms)
+    if first is not None and runs_alone and search.leaves_less(first[1]):
+        # All of them could do that: the linear plant did not lead them to their best.
+        further = _by_own_runs(problem, first[1], np.ones(about.count, bool), ())
+        if further is not first[1] and left_by(problem, further.y) < left_by(problem, settled.y):
+            return necessary(problem, further, start, samples, gain)
+    fewer = None if first is None else search.found(*first)
     if fewer is None:
         errors = np.where(about.known, np.sqrt(np.maximum(np.diag(about.covariance)[: about.count], 0.0)), 0.0)
         sizes = np.where(errors > 0, np.abs(about.off) / np.where(errors > 0, errors, 1.0), 0.0)
@@ -187,7 +195,14 @@ def necessary(
 
 def _sharpened(problem: Problem, shown: Settled, free: Bool[np.ndarray, " numbers"]) -> Settled:
     """What is settled by runs that hang sharply on the numbers, where these are best with no others beside them."""
-    again = sharpened(problem, shown.candidate.entries, free, shown.pushed) if shown.pushed and not free.all() else None
+    return _by_own_runs(problem, shown, free, shown.pushed) if shown.pushed and not free.all() else shown
+
+
+def _by_own_runs(
+    problem: Problem, shown: Settled, free: Bool[np.ndarray, " numbers"], pushed: tuple[np.ndarray, ...]
+) -> Settled:
+    """What is settled, with free numbers where the simulator's own runs lead them, if these leave less."""
+    again = sharpened(problem, shown.candidate.entries, free, pushed)
     if again is None or left_by(problem, again.runs.y) > left_by(problem, shown.y):
         return shown
     candidate = shown.candidate.with_entries(again.entries)
@@ -204,15 +219,27 @@ class _Fewer:
     about: _Ellipsoid
     gain: Callable[[Outputs, Outputs], Gain]
 
-    def found(self) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict, dict, dict] | None:
-        """What is settled with them, which they are, what each gains and which others serve in its place; and of runs
-        that hang sharply on the numbers, for every one that went back, the squares by which that moved all parameters,
-        times its chance to be other after all. None where runs with few numbers leave more than they are worth."""
+    def first(self) -> tuple[Bool[np.ndarray, " numbers"], Settled] | None:
+        """Which they are by slopes, and what is settled with them; None where runs with these leave more than the
+        others are worth."""
         free = self.about.free_only()
         given = self._worth(self.about.known & ~free)
         shown = self._with(free, given) if np.any(self.about.known & ~free) else self.settled
-        if shown is None or not self._left(shown, self.settled) <= given:
-            return None
+        return None if shown is None or not self._left(shown, self.settled) <= given else (free, shown)
+
+    def leaves_less(self, shown: Settled) -> bool:
+        """Whether runs with fewer numbers leave surely less than those with all of them."""
+        return self._left(self.settled, shown) >= settings.MIN_DELTA_BIC
+
+    def found(
+        self, free: Bool[np.ndarray, " numbers"], shown: Settled
+    ) -> tuple[Settled, Bool[np.ndarray, " numbers"], dict, dict, dict]:
+        """What is settled with them, which they are, what each gains and which others serve in its place; and of runs
+        that hang sharply on the numbers, for every one that went back, the squares by which that moved all parameters,
+        times its chance to be other after all.
+
+        **Arguments:** as `first` gives them.
+        """
         needless, gone = True, {}
         while needless:
             gains, needless = {}, False
