@@ -60,6 +60,7 @@ from .noise.floor import independent_floor, residual_rms
 from .own_simulator import diagnose_simulator
 from .result import Diagnosis
 from .routing import (
+    ForceEquation,
     asked_of_forces,
     begin,
     by_accelerations,
@@ -263,8 +264,9 @@ def _of_clean_records(
 ) -> Diagnosis:
     """The diagnosis of records without spoilt samples."""
     identification, outliers = None, ()
+    equation = ForceEquation(searched, max_effects, seed, progress)
     if model is None:
-        identification = begin(records, held, searched, max_effects, seed, progress, options)
+        identification = begin(records, held, equation, options)
         if isinstance(identification, Identification):
             # The largest hide the others.
             for _ in range(PASSES):
@@ -273,7 +275,7 @@ def _of_clean_records(
                 if all(now is then for now, then in zip(records + held, before)):
                     break
                 outliers += more
-                identification = begin(records, held, searched, max_effects, seed, progress, options)
+                identification = begin(records, held, equation, options)
                 if isinstance(identification, Diagnosis):
                     break
         if isinstance(identification, Diagnosis):
@@ -300,8 +302,8 @@ def _of_clean_records(
         separate,
         np.random.default_rng(seed),
         progress,
-        forces=asked_of_forces(records, held, identification, searched, max_effects, seed, progress, options),
-        first_trials=force_equation_trials(records, searched, progress, options) if fitted and not unseen else None,
+        forces=asked_of_forces(records, held, identification, equation, options),
+        first_trials=force_equation_trials(records, equation, options) if fitted and not unseen else None,
         trials_at_once=by_accelerations(records, options),
         out_of_phase=fitted and may_converge_in_phase(identification),
         others=_other_models(records, baseline, progress, options) if unseen and baseline.setup.physical else None,

@@ -3,7 +3,8 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +22,8 @@ from . import settings
 from .conclusions.equation_error import force_diagnosis
 from .conclusions.static_gain import static_diagnosis
 from .equation_error.base_motion import as_forces
-from .equation_error.search import Search, Trial, first_trials
+from .equation_error.search import Search, Table, Trial, first_trials, table_of
+from .equation_error.unmeasured_forces import samples_of
 from .equation_error.without_unmeasured_forces import search_forces
 from .findings import Move
 from .model.free_run import overall, rms_of
@@ -43,24 +45,63 @@ NOT_MENDED = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_bas
 """Failures of the linear fit that no other way mends."""
 
 
+@dataclass(frozen=True)
+class ForceEquation:
+    """The force equation of a diagnosis, which is set up once and searched once for the same records, whoever asks.
+
+    `catalogue`; `max_effects`; `seed`; `progress`.
+    """
+
+    catalogue: tuple[AbstractEffect, ...]
+    max_effects: int
+    seed: int
+    progress: AbstractProgress
+    _tables: dict = field(default_factory=dict)
+    _searches: dict = field(default_factory=dict)
+
+    def table(self, records: list[Record], drive: AbstractDrive) -> Table:
+        """What a search begins with.
+
+        **Raises:** as `table_of`.
+        """
+        none = samples_of((), records)
+        return _once(self._tables, records, lambda: table_of(records, drive, self.catalogue, None, none, self.progress))
+
+    def search(self, records: list[Record], held: list[Record], drive: AbstractDrive) -> Search:
+        """The whole search.
+
+        **Raises:** as `search_forces`.
+        """
+        arguments = records, held, drive, self.catalogue, self.max_effects
+        options = {"rng": np.random.default_rng(self.seed), "progress": self.progress}
+        options["table"] = lambda: self.table(records, drive)
+        return _once(self._searches, records + held, lambda: search_forces(*arguments, **options))
+
+
+def _once(known: dict, records: list[Record], make: Callable[[], Any]) -> Any:
+    """What was made for these very records, or else is made now, in the place of what was made for others."""
+    key = tuple(map(id, records))
+    if key not in known:
+        made = make()
+        known.clear()
+        # As long as they are kept, no others have their identity.
+        known[key] = records, made
+    return known[key][1]
+
+
 def begin(
-    records: list[Record],
-    held: list[Record],
-    catalogue: tuple[AbstractEffect, ...],
-    max_effects: int,
-    seed: int,
-    progress: AbstractProgress,
-    options: dict,
+    records: list[Record], held: list[Record], forces: ForceEquation, options: dict
 ) -> Identification | Diagnosis:
     """The linear fit, or the whole diagnosis of records on which its free run is of no use.
 
-    **Arguments:** `records`, `held`; `catalogue`; `max_effects`; `seed`; `progress`; `options`: of `identify`.
+    **Arguments:** `records`, `held`; `forces`: with what is looked for; `options`: of `identify`.
 
     **Returns:** an `Identification` where the free run serves, otherwise a `Diagnosis` by another route.
 
     **Raises:** as `identify`.
     """
     identification = failure = None
+    catalogue, max_effects, seed, progress = forces.catalogue, forces.max_effects, forces.seed, forces.progress
     drive = drive_by(records[0], options)
     if _of_displacements(records, drive) and all(map(is_static_curve, records)):
         rng = np.random.default_rng(seed)
@@ -91,7 +132,7 @@ def begin(
         return identification
     if route == "force equation":
         try:
-            search = search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+            search = forces.search(records, held, drive)
         except ComputationError as error:
             if identification is None:
                 # The linear fit says what is wrong with the record.
@@ -112,10 +153,7 @@ def asked_of_forces(
     records: list[Record],
     held: list[Record],
     identification: Identification | None,
-    catalogue: tuple[AbstractEffect, ...],
-    max_effects: int,
-    seed: int,
-    progress: AbstractProgress,
+    forces: ForceEquation,
     options: dict,
 ) -> Callable[[], Search | None] | None:
     """What gives the search in the force equation of records on which the free run of some output is poor, or far from
@@ -136,10 +174,9 @@ def asked_of_forces(
 
     @functools.cache
     def search() -> Search | None:
-        progress.unlimited.stage("looking in the force equation")
-        rng = np.random.default_rng(seed)
+        forces.progress.unlimited.stage("looking in the force equation")
         try:
-            return search_forces(records, held, drive, catalogue, max_effects, rng=rng, progress=progress)
+            return forces.search(records, held, drive)
         except ComputationError:
             return None
 
@@ -147,7 +184,7 @@ def asked_of_forces(
 
 
 def force_equation_trials(
-    records: list[Record], catalogue: tuple[AbstractEffect, ...], progress: AbstractProgress, options: dict
+    records: list[Record], forces: ForceEquation, options: dict
 ) -> Callable[[], list[Trial]] | None:
     """Trials of the force equation for the first law: starts of refits alone.
 
@@ -163,12 +200,18 @@ def force_equation_trials(
     if not based and not pushed:
         return None
 
+    progress = forces.progress
+
     @functools.cache
     def trials() -> list[Trial]:
         try:
             progress.stage("looking in the force equation")
-            relative, forces, mass = as_forces(records, drive) if based else (records, drive, None)
-            return first_trials(relative, forces, catalogue, mass, progress)
+            if not based:
+                return first_trials(records, drive, forces.table(records, drive), progress)
+            relative, inertia, mass = as_forces(records, drive)
+            none = samples_of((), relative)
+            table = table_of(relative, inertia, forces.catalogue, mass, none, progress)
+            return first_trials(relative, inertia, table, progress)
         except (ComputationError, BudgetSpent, np.linalg.LinAlgError, ValueError):
             # A record that shows it nothing, such as an output that never moves, is no reason to stop.
             return []

@@ -5,8 +5,6 @@ an iteration, points of a grid, tolerances of a solver) stands where it is used.
 the value, *benchmark* where `benchmarks/hidden_effects.py` or `frames.py` calibrated it, *convention* otherwise.
 """
 
-from ..mechanics.effects.stiffness import DeadZoneStiffness, EndStop
-
 # Evidence of a candidate
 
 MIN_DELTA_BIC = 10.0
@@ -68,9 +66,6 @@ EQUAL_DELTA_BIC = 2.0
 MAX_CRITERION_GAP = 100.0
 """Distance in criterion from the best first refit beyond which a candidate is not refined further; its refit is given
 up at twice this (benchmark)."""
-
-CONTACT = frozenset({DeadZoneStiffness.id, EndStop.id})
-"""Laws that differ in their name alone, by how much of the record is spent in contact."""
 
 # Held-out data
 

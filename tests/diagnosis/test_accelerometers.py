@@ -16,9 +16,10 @@ from jaxgray.diagnosis.equation_error.band import band_of
 from jaxgray.diagnosis.equation_error.base_motion import as_forces
 from jaxgray.diagnosis.equation_error.integrated_band import integrated_band
 from jaxgray.diagnosis.equation_error.rows import series_of
-from jaxgray.diagnosis.equation_error.search import first_trials
+from jaxgray.diagnosis.equation_error.search import first_trials, table_of
+from jaxgray.diagnosis.equation_error.unmeasured_forces import samples_of
 from jaxgray.diagnosis.model.baseline import baseline_of
-from jaxgray.diagnosis.routing import force_equation_trials
+from jaxgray.diagnosis.routing import ForceEquation, force_equation_trials
 from jaxgray.diagnosis.starts import equation_error as starts
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.systems.drives import BaseAcceleration, Force
@@ -71,7 +72,7 @@ def test_impacts_that_pass_for_noise_of_a_sensor_do_not_take_the_motion_out_of_t
     # Hit at its first floor, the frame moves at 2.8 Hz above all.
     assert band_of(relative).low > 5.0 and integrated_band(relative).low < 2.8
     np.testing.assert_allclose(np.diag(mass), np.array(frame.masses) / frame.masses[0], rtol=0.15)
-    best = first_trials(relative, drive, tuple(map(by_id, LAWS)), mass, Silent())[0]
+    best = proposed(relative, drive, mass)[0]
     assert best.name == ("end_stop", "y1")
     np.testing.assert_allclose(best.term.values, [2.85e5 / frame.masses[0], gap], rtol=0.1)
     # Where rows are too few to tell, or shorter ones lose the strong motion, it stays as spectra set it.
@@ -103,10 +104,16 @@ def test_a_strong_law_is_the_first_that_the_force_equation_proposes(law, storey)
     ready()
     record, _, (truth,) = shaken(law, storey, 30 + storey)
     relative, drive, mass = as_forces([record], BASE)
-    best = first_trials(relative, drive, tuple(map(by_id, LAWS)), mass, Silent())[0]
+    best = proposed(relative, drive, mass)[0]
     assert best.name == (law, truth.place)
     stiffness = truth.parameters["ks"] / FRAME.masses[0]
     assert abs(best.term.values[0] - stiffness) < 0.15 * stiffness
+
+
+def proposed(records, drive, mass=None):
+    """Trials of the first law."""
+    table = table_of(records, drive, tuple(map(by_id, LAWS)), mass, samples_of((), records), Silent())
+    return first_trials(records, drive, table, Silent())
 
 
 def pushed(effects, seed, samples=6000):
@@ -128,10 +135,9 @@ def pushed(effects, seed, samples=6000):
 
 def test_nothing_is_proposed_for_a_linear_frame():
     ready()
-    laws = tuple(map(by_id, LAWS))
     relative, drive, mass = as_forces([shaken(None, 0, 40)[0]], BASE)
-    assert first_trials(relative, drive, laws, mass, Silent()) == []
-    assert first_trials([pushed([], 41)[0]], Force(np.eye(3)), laws, None, Silent()) == []
+    assert proposed(relative, drive, mass) == []
+    assert proposed([pushed([], 41)[0]], Force(np.eye(3))) == []
 
 
 def test_under_forces_a_law_is_proposed_with_its_size():
@@ -139,7 +145,7 @@ def test_under_forces_a_law_is_proposed_with_its_size():
     drift = pushed([], 42)[1]
     truth = hidden_laws.Effect("end_stop", "y1-y2", {"gap": 1.2 * drift, "ks": 1.7e5})
     record = pushed([truth], 42)[0]
-    best = first_trials([record], Force(np.eye(3)), tuple(map(by_id, LAWS)), None, Silent())[0]
+    best = proposed([record], Force(np.eye(3)))[0]
     assert best.name == ("end_stop", "y1-y2")
     assert abs(best.term.values[0] - truth.parameters["ks"]) < 0.35 * truth.parameters["ks"]
 
@@ -187,11 +193,12 @@ def test_what_the_force_equation_would_add_is_asked_for_only_while_there_is_time
     ready()
     record = shaken("end_stop", 1, 65)[0]
     laws, options = tuple(map(by_id, LAWS)), {"excitation": "base-acceleration"}
-    assert force_equation_trials([record], laws, Budgeted(Silent(), 1e-9), options)() == []
-    short = force_equation_trials([record[:300]], laws, Silent(), options)
+    late, forces = (ForceEquation(laws, 1, 0, progress) for progress in (Budgeted(Silent(), 1e-9), Silent()))
+    assert force_equation_trials([record], late, options)() == []
+    short = force_equation_trials([record[:300]], forces, options)
     assert short() == []
     jumping = jaxgray.Record(record.u, record.y, H, measured="acceleration")
-    assert force_equation_trials([jumping], laws, Silent(), {}) is None
+    assert force_equation_trials([jumping], forces, {}) is None
 
 
 def test_of_laws_that_differ_in_their_name_alone_one_is_refitted_at_every_place(monkeypatch):
@@ -207,10 +214,13 @@ def test_of_laws_that_differ_in_their_name_alone_one_is_refitted_at_every_place(
             shape=SimpleNamespace(effect=SimpleNamespace(id=effect), place=SimpleNamespace(name=place))
         )
 
+    def law(effect):
+        return SimpleNamespace(effect=by_id(effect))
+
     monkeypatch.setattr(starts, "_refitted", refitted)
     # What the screening ruled out is not tried, nor counted.
     screening = SimpleNamespace(white=[], scores=[score(*name) for name in names if name[0] != "sine_stiffness"])
-    context = SimpleNamespace(first_trials=lambda: [SimpleNamespace(name=name) for name in names])
+    context = SimpleNamespace(first_trials=lambda: [SimpleNamespace(name=name, term=law(name[0])) for name in names])
     stage = SimpleNamespace(candidate=SimpleNamespace(terms=()))
     (found,) = starts.from_first_trials(context, stage, screening)
     assert found.name == names[3] and asked == [names[0], names[3]]
@@ -225,7 +235,7 @@ def test_what_is_begun_has_the_masses_of_the_frame_and_what_does_not_move(fix):
     record, _, (truth,) = shaken("end_stop", 1, 66, samples=4000)
     options = {"excitation": "base-acceleration", "fix": fix}
     relative, drive, mass = as_forces([record], BASE)
-    trial = first_trials(relative, drive, tuple(map(by_id, LAWS)), mass, Silent())[0]
+    trial = proposed(relative, drive, mass)[0]
     setup_of = baseline_of([record], jaxgray.identify(record, refine=False, **options), None)
     setup, candidate = setup_of.setup, setup_of.start
     context = SimpleNamespace(simulator=SimpleNamespace(setup=setup))

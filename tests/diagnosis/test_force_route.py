@@ -8,6 +8,7 @@ import pytest
 from independent import smooth_noise
 
 from jaxgray import Record, diagnose, write_report
+from jaxgray.diagnosis import routing
 from jaxgray.diagnosis.conclusions.equation_error import force_diagnosis
 from jaxgray.diagnosis.conclusions.missing_force import missing_forces
 from jaxgray.diagnosis.equation_error.without_unmeasured_forces import search_forces
@@ -51,6 +52,21 @@ def test_friction_of_two_bodies_that_drift_is_found_among_laws_that_explain_as_m
     wide = dataclasses.replace(search.taken[0].trial, fit=dataclasses.replace(search.fit, moving=((0, 1),)))
     plain = dataclasses.replace(search.taken[0].trial, power=0.9 * wide.power)
     assert dataclasses.replace(search, taken=[]).ordered([wide, plain]) == [plain, wide]
+
+
+def test_the_force_equation_is_set_up_and_searched_once_for_the_same_records(monkeypatch):
+    ready()
+    made, setting_up = [], routing.table_of
+    monkeypatch.setattr(routing, "table_of", lambda *given: made.append(given) or setting_up(*given))
+    records, drive, laws = carriage(np.random.default_rng(8)), Force(np.eye(2)), tuple(by_id(one) for one in LAWS)
+    forces = routing.ForceEquation(laws, 2, 0, Silent())
+    trials = routing.force_equation_trials(records[:1], forces, {})
+    search = forces.search(records[:1], records[1:], drive)
+    assert trials()[0].name == search.taken[0].trial.name == ("coulomb_friction", "y1")
+    assert len(made) == 1 and forces.search(records[:1], records[1:], drive) is search
+    alone = searched(carriage(np.random.default_rng(8)))
+    assert alone.fit.cost == search.fit.cost and alone.rejected == search.rejected
+    assert forces.search(records[1:], records[:1], drive) is not search and len(made) == 2
 
 
 def test_what_is_missing_is_shown_where_samples_were_lost(tmp_path):

@@ -7,6 +7,7 @@ parameters.
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -35,6 +36,15 @@ SHORT = 8
 
 STARTS = 3
 """Shapes from which each of them is refitted."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a search begins with: rows of an `equation`, candidates of a `library` in them, and the fit without any."""
+
+    equation: Equation
+    library: Library
+    base: ForceFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,18 +211,24 @@ def search_once(
     brief_forces: tuple[BriefForce, ...],
     rng: np.random.Generator,
     progress: AbstractProgress,
+    table: Callable[[], Table] | None = None,
 ) -> Search:
     """Add laws to the force equation until nothing more is found.
 
     **Arguments:** `records`, `held`: to fit, and to judge; `drive`: forces; `catalogue`; `max_effects`; `brief_forces`:
-    left out; `rng`: of the resampling; `progress`.
+    left out; `rng`: of the resampling; `progress`; `table`: gives that of `table_of` where nothing is left out, if it
+    serves others, too.
 
     **Returns:** a `Search`.
 
     **Raises:** `ComputationError` where the force equation has no solution of positive mass.
     """
     left_out = samples_of(brief_forces, records + held)
-    search = _empty(records, drive, catalogue, None, left_out[: len(records)], rng, progress)
+    if table is None or brief_forces:
+        made = table_of(records, drive, catalogue, None, left_out[: len(records)], progress)
+    else:
+        made = table()
+    search = _empty(made, records, drive, rng, progress)
     band = search.equation.series[0].band
     everything = [series_of(r, band, at_rest=True, left_out=mask) for r, mask in zip(records + held, left_out)]
     search.windows = Windows(records + held, everything, window_samples(records + held), left_out)
@@ -222,32 +238,37 @@ def search_once(
     return search
 
 
-def first_trials(
-    records: list[Record],
-    drive: AbstractDrive,
-    catalogue: tuple[AbstractEffect, ...],
-    mass: np.ndarray | None,
-    progress: AbstractProgress,
-) -> list[Trial]:
+def first_trials(records: list[Record], drive: AbstractDrive, table: Table, progress: AbstractProgress) -> list[Trial]:
     """Trials of the first law, best first, judged by the rows of the equation alone.
 
-    **Arguments:** `records`; `drive`: forces; `catalogue`; `mass`: where it is known, on an accelerated base;
-    `progress`.
+    **Arguments:** `records`; `drive`: forces; their `table`; `progress`.
 
     **Returns:** those that are beyond doubt, none where there is no such.
-
-    **Raises:** as `search_once`, and `ComputationError` where there is no band above the noise, or too few rows.
     """
-    if mass is not None:
-        # There the input is an acceleration: effects of the input do not apply.
-        catalogue = tuple(effect for effect in catalogue if effect.places != "input")
-    search = _empty(records, drive, catalogue, mass, samples_of((), records), np.random.default_rng(0), progress)
+    search = _empty(table, records, drive, np.random.default_rng(0), progress)
     trials = search.trials() if search.looks(False) else []
     return [trial for trial in trials if trial.delta_bic >= settings.CLEAR_DELTA_BIC and unsound(trial) is None]
 
 
-def _empty(records, drive, catalogue, mass, left_out, rng, progress) -> Search:
-    """The search before anything is added."""
+def table_of(
+    records: list[Record],
+    drive: AbstractDrive,
+    catalogue: tuple[AbstractEffect, ...],
+    mass: np.ndarray | None,
+    left_out: list[np.ndarray],
+    progress: AbstractProgress,
+) -> Table:
+    """What a search in the force equation begins with.
+
+    **Arguments:** `records`; `drive`: forces; `catalogue`; `mass`: where it is known, on an accelerated base;
+    `left_out`: samples that are, a record; `progress`.
+
+    **Raises:** `ComputationError` where there is no band above the noise, too few rows, or no solution of positive
+    mass.
+    """
+    if mass is not None:
+        # There the input is an acceleration: effects of the input do not apply.
+        catalogue = tuple(effect for effect in catalogue if effect.places != "input")
     progress.unlimited.stage("setting up the force equation")
     E = np.asarray(drive.input_map)
     band = integrated_band(records)
@@ -259,12 +280,17 @@ def _empty(records, drive, catalogue, mass, left_out, rng, progress) -> Search:
     equation = Equation(series, E, mass)
     progress.unlimited.stage("looking for effects")
     library = Library.of(equation, catalogue, (records[0].input_names, records[0].output_names))
-    search = Search(
-        records=records, held=[], rng=rng, progress=progress, drive=drive, equation=equation, library=library
-    )
-    search.base = search.fit = _settled(equation, ())
-    if search.base is None:
+    base = _settled(equation, ())
+    if base is None:
         raise ComputationError(RESULTS.nonfinite, stage="force equation", detail="no positive mass fits the record")
+    return Table(equation, library, base)
+
+
+def _empty(table: Table, records, drive, rng, progress) -> Search:
+    """The search before anything is added."""
+    begin = {"equation": table.equation, "library": table.library}
+    search = Search(records=records, held=[], rng=rng, progress=progress, drive=drive, **begin)
+    search.base = search.fit = table.base
     return search
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...mechanics.effects.base import Term
-from ...mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ...mechanics.runs.extended import arm_of
 from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
@@ -323,14 +322,15 @@ def by_contact(context: SearchContext, attempt: Attempt, stage: Stage) -> Attemp
     """The attempt under the name that its contact gives it: backlash where the gap is left in more than half of the
     samples, an end stop where in fewer; the law is the same. Under its own where the other is not looked for."""
     term = attempt.fit.candidate.terms[-1]
-    if term.effect.id not in settings.CONTACT:
+    if not term.effect.by_contact:
         return attempt
     arm = np.asarray(arm_of(term, stage.plant))
     data = context.data[0]
     q = context.simulator.motion(attempt.fit.candidate, data)[0][: data.samples, : len(arm)]
     contact = np.mean(np.abs(q @ arm) > float(term.values[1]))
-    effect = DeadZoneStiffness() if contact > 0.5 else EndStop()
-    if effect.id == term.effect.id or effect.id not in {one.id for one in context.catalogue}:
+    name = term.effect.by_contact[0 if contact > 0.5 else 1]
+    effect = next((one for one in context.catalogue if one.id == name), term.effect)
+    if effect.id == term.effect.id:
         return attempt
     renamed = Term(effect, term.place, term.values)
     candidate = attempt.fit.candidate

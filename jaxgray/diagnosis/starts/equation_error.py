@@ -49,10 +49,9 @@ def from_first_trials(context: SearchContext, stage: Stage, screening: Screening
     known = {(s.shape.effect.id, s.shape.place.name) for s in (*screening.white, *screening.scores)}
     kept: list[Trial] = []
     for trial in context.first_trials():
-        effect, place = trial.name
         # Of laws that differ in their name alone, one.
-        alike = {one.name[0] for one in kept if one.name[1] == place} & settings.CONTACT
-        if trial.name in known and not (alike and effect in settings.CONTACT):
+        alike = {(name, trial.name[1]) for name in trial.term.effect.by_contact}
+        if trial.name in known and not any(one.name in alike for one in kept):
             kept.append(trial)
     followed = filter(None, (_refitted(context, stage, screening, trial, True) for trial in kept[:MAX_TRIALS]))
     return list(itertools.islice(followed, 1))

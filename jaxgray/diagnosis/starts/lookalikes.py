@@ -22,7 +22,7 @@ def untried_look_alikes(
 
     Of the laws that differ in their name alone, one is tried at a place; `tried`: laws and places of the round so far.
     """
-    listed, contacts = [], {place for law, place in tried if law in settings.CONTACT}
+    listed, known = [], set(tried)
     for effect_id in sorted(ids):
         scores: list[Score] = []
         for table in (closer.scores, screening.scores, screening.white):
@@ -31,10 +31,10 @@ def untried_look_alikes(
                 continue
             if not scores or (scores[0].shape.place.name == best.shape.place.name and not same_start(best, scores[0])):
                 scores.append(best)
-        if not scores or (effect_id in settings.CONTACT and scores[0].shape.place.name in contacts):
+        place = scores[0].shape.place.name if scores else ""
+        if not scores or any((name, place) in known for name in scores[0].shape.effect.by_contact):
             continue
-        if effect_id in settings.CONTACT:
-            contacts.add(scores[0].shape.place.name)
+        known.add((effect_id, place))
         listed.append(scores[:2])
     return listed
 

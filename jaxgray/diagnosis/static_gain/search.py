@@ -7,11 +7,9 @@ import numpy as np
 
 from ...identification.validation.structure_test import ROUNDING
 from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Place, Scales, Term, places_of
-from ...mechanics.effects.stiffness import DeadZoneStiffness, EndStop
 from ...mechanics.systems.drives import AbstractDrive, Force
 from ...numerics.progress import AbstractProgress
 from ...records import Record
-from .. import settings
 from ..acceptance import bound_of
 from ..model.candidate import estimated
 from ..model.free_run import FreeRun, rms_of
@@ -40,10 +38,11 @@ class Trial(AbstractTrial):
     def by_contact(self) -> tuple[str, str]:
         """The name that its contact gives a law with a gap: backlash where it is left in more than half of the samples,
         an end stop where in fewer; of other laws their own."""
-        if self.name[0] not in settings.CONTACT:
+        names = self.term.effect.by_contact
+        if not names:
             return self.name
         often = float(self.term.values[1]) < self.scales.q_quantiles[0]
-        return (DeadZoneStiffness if often else EndStop).id, self.name[1]
+        return names[0 if often else 1], self.name[1]
 
     def explained(self):
         return 1 - self.fit.cost / self.without.cost

@@ -94,13 +94,14 @@ class AbstractEffect(eqx.Module):
     two only), "input", "output", "record" (all outputs), "cross" (source->polluted); `contains`: ids of simpler laws
     that it turns into where its further parameters vanish; `becomes`: ids of those that it is where it is `unresolved`;
     `renamed`: ids of simpler laws that it contains under other names of the parameters; `resembles`: a word that laws
-    share which a record hardly tells apart, "" for none; `repeats`: whether the force comes again and again over
-    displacement; `tied_to_clock`: whether it belongs to the clock of one record, so that another record, or another
-    part, may not show it; `own_phase`: whether every record has it with another phase; `onset`: parameters that are the
-    time and the width of a sudden change, none for others; `alters`: the matrix that it alters over time, and the
-    parameter that says by how much, none for others; `replaces`: "stiffness" or "damping" where this law may stand for
-    the whole spring or damper at its place, "" for neither; `jumps`: whether the force jumps where the velocity changes
-    sign; `told_apart`: what to change in the experiment, besides the inputs, so that a record tells it from its
+    share which a record hardly tells apart, "" for none; `by_contact`: ids of the names that this law has where it acts
+    in more than half of the samples, and in fewer, none for others; `repeats`: whether the force comes again and again
+    over displacement; `tied_to_clock`: whether it belongs to the clock of one record, so that another record, or
+    another part, may not show it; `own_phase`: whether every record has it with another phase; `onset`: parameters that
+    are the time and the width of a sudden change, none for others; `alters`: the matrix that it alters over time, and
+    the parameter that says by how much, none for others; `replaces`: "stiffness" or "damping" where this law may stand
+    for the whole spring or damper at its place, "" for neither; `jumps`: whether the force jumps where the velocity
+    changes sign; `told_apart`: what to change in the experiment, besides the inputs, so that a record tells it from its
     look-alikes, one sentence, "" for nothing; `scheduled`: whether it needs a scheduling channel; `stage`: whether a
     finding says what is missing of the "model" or wrong with the "record".
     """
@@ -117,6 +118,7 @@ class AbstractEffect(eqx.Module):
     becomes: ClassVar[tuple[str, ...]] = ()
     renamed: ClassVar[tuple[str, ...]] = ()
     resembles: ClassVar[str] = ""
+    by_contact: ClassVar[tuple[str, str] | tuple[()]] = ()
     repeats: ClassVar[bool] = False
     tied_to_clock: ClassVar[bool] = False
     own_phase: ClassVar[bool] = False

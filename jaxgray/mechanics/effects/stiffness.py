@@ -12,6 +12,10 @@ SMALL = 0.5
 """Angle [rad] within which a sine differs from a line and a cubic by less than 0.03 % of its largest force."""
 
 
+BY_CONTACT = "dead_zone_stiffness", "end_stop"
+"""Names of one law, in contact for more than half of the samples and for less."""
+
+
 def beyond(x, gap):
     """The part of a signal outside ± `gap`: x − clip(x, ±gap)."""
     return x - jnp.clip(x, -gap, gap)
@@ -72,6 +76,7 @@ class DeadZoneStiffness(AbstractForceEffect):
     reference = "Nordin & Gutman, Automatica 38 (2002) 1633-1649"
     places = "spring"
     resembles = "hardening"
+    by_contact = BY_CONTACT
     replaces = "stiffness"
 
     def shapes(self, scales):
@@ -103,6 +108,7 @@ class EndStop(AbstractForceEffect):
     reference = "Shaw & Holmes, J. Sound Vib. 90 (1983) 129-155"
     places = "spring"
     resembles = "hardening"
+    by_contact = BY_CONTACT
 
     def shapes(self, scales):
         return [np.array([1.0, scales.q_quantiles[k]]) for k in (1, 3, 4, 5)]
