@@ -122,7 +122,7 @@ def test_what_numbers_do_not_explain_ends_it_soon():
         problem = problem_of(measured(pendulum.cogging, 0.3, seed=seed))
         assert isinstance(grown(problem, START), Ended)
         spent += problem.simulator.samples / SAMPLES
-    assert spent < 8.0, "lengths of the record, of which steps that lead nowhere took four more"
+    assert spent < 6.5, "lengths of the record, of which steps that lead nowhere took four more"
 
 
 def test_a_simulator_that_fails_on_the_way_ends_it():

@@ -145,6 +145,12 @@ class _Window:
             return None
         return tuple(made)
 
+    def part_of(self, longer: "_Window", y: Outputs) -> Outputs:
+        """What runs of a longer part, or of this one, are of this one."""
+        made = dict(zip(map(id, longer.spans), y))
+        ends = [None if self.share == 1.0 else self.seen(span).stop for span in self.spans]
+        return tuple(made[id(span)][:end] for span, end in zip(self.spans, ends))
+
     def near(self, y: Outputs) -> bool:
         """Whether runs are near all that they are of the records."""
         pairs = zip(self.spans, y)
@@ -373,9 +379,10 @@ class _Fit:
         samples = len(self.rows(self.errors))
         return fall >= (size - count) * np.log(samples) + settings.MIN_DELTA_BIC
 
-    def best(self, exact: bool) -> "_Fit | None":
+    def best(self, exact: bool, led: bool = False) -> "_Fit | None":
         """Where no step leaves less, by fresh slopes there; or, if that need not be `exact`, where runs follow the
-        records. None where a run fails, or steps do not come to an end."""
+        records. None where a run fails, or steps do not come to an end. `led`: whether it began so near that slopes
+        lead there, or nothing does."""
         now, taken = self, 0
         for _ in range(STEPS):
             if not exact and now.window.followed(now.y):
@@ -384,9 +391,11 @@ class _Fit:
                 now, taken = now.sloped() if taken < SLOPES else None, taken + 1
                 if now is None:
                     return None
+            sure = now.fresh or (now.told and not exact)
+            if led and sure and not now.leads():
+                return None if exact else now
             ahead = now.down()
             slow = ahead is not None and ahead.slower(now)
-            sure = now.fresh or (now.told and not exact)
             if slow and sure:
                 return None if exact else ahead
             flat = slow or ahead is None or ahead.left > now.left - FLAT
@@ -398,10 +407,12 @@ class _Fit:
                 now = dataclasses.replace(now, slopes=())
         return None if exact else now
 
-    def begun(self, first: _Window, exact: bool) -> "_Fit | None":
+    def begun(self, first: _Window, exact: bool, led: bool = False) -> "_Fit | None":
         """The best fit, with forces over the `first` samples where records begin elsewhere than the simulator does."""
-        fit = self.best(exact)
-        if fit is None or not fit.begins_elsewhere(first):
+        fit = self.best(exact, led)
+        # A first state shows in the first part.
+        ended = fit is None or (led and not fit.window.followed(fit.y))
+        if ended or not fit.begins_elsewhere(first):
             return fit
         unknowns = fit.unknowns.pushed(first, fit.vector)
         vector = np.concatenate([fit.vector, np.zeros(sum(unit.size for unit in unknowns.units))])
@@ -476,9 +487,15 @@ def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], shar
         unknowns = unknowns.pushed(first, vector)
         vector = unknowns.start(entries, pushed)
 
+    run: tuple[np.ndarray, _Window, Outputs | None] | None = None
     while followed < 1.0:
         window = _Window(problem, share)
-        y = window.runs(unknowns.calls(vector))
+        if run is not None and run[2] is not None and run[1].share >= share and np.array_equal(run[0], vector):
+            # What a longer run was up to there.
+            y = window.part_of(run[1], run[2])
+        else:
+            y = window.runs(unknowns.calls(vector))
+            run = vector, window, y
         if followed > 0.0:
             near = y is not None and window.near(y)
             if near and share == 1.0 and len(vector) == unknowns.count:
@@ -488,7 +505,7 @@ def _grown(problem: Problem, entries, free, pushed: tuple[np.ndarray, ...], shar
                 continue
         if y is None:
             break
-        fit = _Fit(window, unknowns, vector, y).begun(first, exact=share == 1.0)
+        fit = _Fit(window, unknowns, vector, y).begun(first, exact=share == 1.0, led=followed > 0.0)
         if fit is None or not window.followed(fit.y):
             break
         unknowns, vector, followed, share = fit.unknowns, fit.vector, share, min(LONGER * share, 1.0)
