@@ -25,6 +25,9 @@ from simulator_campaign import campaign, laws_of  # noqa: E402
 import jaxgray  # noqa: E402
 
 H = 0.01
+FEW = 15
+"""Runs a round that are asked for."""
+
 EFFECTS = (*pendulum.LAWS, "input_delay", "input_saturation")
 SIZES = {
     "cubic_stiffness": (0.05, 0.3),
@@ -118,7 +121,9 @@ def main():
     if len(off):
         rms, most = np.sqrt(np.mean(off**2)), np.max(np.abs(off))
         print(f"sizes of laws: off by {rms:.2f} standard errors in the root mean square, at most {most:.1f}")
-    print(f"runs of a record's length a round: median {np.median(rounds):.0f}, most {np.max(rounds):.0f}")
+    few = np.mean(np.array(rounds) <= FEW)
+    print(f"runs of a record's length a round: mean {np.mean(rounds):.1f}, median {np.median(rounds):.1f}", end="")
+    print(f", at most {FEW} in {few:.0%}, most {np.max(rounds):.0f}")
 
 
 if __name__ == "__main__":

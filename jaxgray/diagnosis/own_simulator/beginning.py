@@ -125,8 +125,13 @@ class Beginner:
             for begin in (np.where(start > 0.0, start, entries), entries):
                 self.progress.stage(GROWING)
                 runs = problem.tried(problem.called(begin))
-                near = runs is not None and problem.follow(runs.y)
-                made = self._by_own_runs(bettered(problem, begin, runs)) if near else None
+                if runs is None or not problem.follow(runs.y):
+                    continue
+                own = bettered(problem, begin, runs)
+                if own is None:
+                    # Where the slopes of one near run promise nothing, those of another do not either.
+                    break
+                made = self._by_own_runs(own)
                 if made is not None and left_by(problem, made.fitted.y) <= left_by(problem, best.fitted.y):
                     best = made
                     if is_white(parts_of(problem, made.fitted.y)[0]):

@@ -459,14 +459,15 @@ def nearly_followed(problem: Problem, y: Outputs) -> bool:
     return _Window(problem, 1.0).followed(y, NEARLY)
 
 
-def bettered(problem: Problem, entries: Float[np.ndarray, " numbers"], runs: Runs) -> Grown | None:
-    """Numbers that follow all data of the fit but for noise, from some with which `runs` are near; None where slopes
-    there foretell that none do, or lead hardly nearer."""
+def bettered(problem: Problem, entries: Float[np.ndarray, " numbers"], runs: Runs) -> Grown | Ended | None:
+    """Numbers that follow all data of the fit but for noise, from some with which `runs` are near, or as they are where
+    steps find none; None where slopes there foretell that none do, or lead hardly nearer."""
     unknowns = _Unknowns.alone(problem, np.ones(len(entries), bool))
     fit = _Fit(_Window(problem, 1.0), unknowns, np.array(entries, float), runs.y).sloped()
-    if fit is None or not (fit.promises() and fit.leads()):
+    if fit is not None and not (fit.promises() and fit.leads()):
         return None
-    return _finished(problem, fit.begun(_Window(problem, BEGIN), exact=True))
+    best = None if fit is None else fit.begun(_Window(problem, BEGIN), exact=True)
+    return _finished(problem, best) or Ended(np.array(entries, float))
 
 
 def sharpened(
