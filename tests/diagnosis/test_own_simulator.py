@@ -246,7 +246,7 @@ def test_a_force_leads_the_simulator_along_the_record(law, size, most):
     # Dry friction takes what is asked for near reversals, and hides nothing of the rest.
     assert np.allclose(plant.mass, values[0], rtol=0.02) and np.allclose(plant.input_map, 1.0, atol=0.02)
     assert plant.varying.v[0] > 0
-    before, after = simulator.count, tracked(simulator, plant, record, call, y, near=0.0)
+    before, after = simulator.count, tracked(simulator, plant, record, call, y)
     clean = pendulum.run(u[:, 0], pendulum.TRUTH, law, size)
     noise = np.std(record.y[:, 0] - clean)
     assert np.std(y[:, 0] - clean) > 10 * noise

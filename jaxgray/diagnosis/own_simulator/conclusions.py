@@ -153,17 +153,12 @@ def joined(states: list[SearchState]) -> SearchState:
 def _leaves_more(problem: Problem, settled: Settled, followed: Runs, floor: np.ndarray | None, source: str) -> bool:
     """Whether laws and numbers leave more than noise: than a floor that is known of otherwise, than what the linear
     plant foresaw, or much more than a force that makes the simulator follow the records."""
-    runs, foreseen = parts_of(problem, settled.y)[0], foreseen_by(settled.fit, settled.data)
-    after = rms_of(runs)
+    after = rms_of(parts_of(problem, settled.y)[0])
+    foreseen = foreseen_by(settled.fit, settled.data)
     if floor is not None and source != ADOPTED and overall(after, floor) >= settings.MIN_EXCESS:
         return True
-    if overall(after, rms_of(foreseen)) >= settings.MIN_EXCESS:
-        return True
-    if is_white(runs):
-        return False
-    # The force led as near as a linear plant needs, no nearer.
-    led = problem.led(followed, near=0.0) if problem.follow(followed.y) else followed
-    return overall(after, rms_of(parts_of(problem, led.y)[0])) >= MUCH_FARTHER
+    led = rms_of(parts_of(problem, followed.y)[0])
+    return overall(after, rms_of(foreseen)) >= settings.MIN_EXCESS or overall(after, led) >= MUCH_FARTHER
 
 
 def _begins_elsewhere(settled: Settled) -> bool:

@@ -22,7 +22,8 @@ LED = 2
 
 SETTLING, PATIENCE, FLAT = 24, 4, 2
 """Runs at most until laws and numbers stand still in the simulator; runs in a row that come no nearer to the records
-than one before, after which none does; and such runs that are as near, after which they stand still."""
+than one before, after which none does; and such runs that are as near, after which they stand still if none nearer is
+foretold."""
 
 NEARER, FALLING = 0.02, np.log(0.9)
 """Share of what is left by which a run must come nearer; and logarithm of the part of it that the next run must be
@@ -123,12 +124,13 @@ def settle(
         if not np.isfinite(left):
             break
         since, mark = (0, left) if left < mark - NEARER else (since + 1, mark)
-        # A simulator in steps of its own answers in steps, and parameters wander where no run is any better.
-        flat = since >= FLAT and left < nearest + NEARER
         closed = not candidate.terms or _as_foreseen(problem, runs, foreseen, y)
         # Each turn moves it less than the one before, and brings not more than the linear plant about this run says.
         there = foreseen_by(again, data)
         foretold.append(left_of(there))
+        # A simulator in steps of its own answers in steps, and parameters wander where no run is any better, nor is one
+        # foretold.
+        flat = since >= FLAT and left < min(nearest, foretold[-1]) + NEARER
         stands = largest < STILL or samples * abs(left - foretold[-1]) < STILL or flat
         still = closed and (resumed or turn > 0) and stands and left < nearest + NEARER
         ends.append((left, end))

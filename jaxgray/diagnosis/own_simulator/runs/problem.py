@@ -21,7 +21,6 @@ from .calls import Call, Failure, Simulator
 from .linearized import Linearized, linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time
 from .tracking import (
-    ALONG,
     as_linear,
     forces_beside,
     forces_by_slopes,
@@ -165,10 +164,10 @@ class Problem:
         forces = [forces_by_slopes(self.plant, span.record, y, S) for span, y, S in zip(self.spans, runs.y, slopes)]
         return dataclasses.replace(runs, by_number=tuple(forces), slopes=slopes, along=self.follow(runs.y))
 
-    def led(self, runs: Runs, near: float = ALONG) -> Runs:
-        """Runs that forces beside those of their calls lead along the records, as far as they can or as `near`."""
+    def led(self, runs: Runs) -> Runs:
+        """Runs that forces beside those of their calls lead along the records, as far as they can."""
         spans = zip(self.spans, runs.calls, runs.y)
-        found = [tracked(self.simulator, self.plant, span.record, call, y, near) for span, call, y in spans]
+        found = [tracked(self.simulator, self.plant, span.record, call, y) for span, call, y in spans]
         return Runs(*(tuple(x) for x in zip(*found)))
 
     def followed_until(self, runs: Runs) -> int:

@@ -47,9 +47,8 @@ IN_A_ROW, FEWEST, AHEAD = 5, 50, (2.0, 1.25)
 """Samples that a run is far from a record to have left it; fewest of a record that say anything by themselves; and how
 many times further than it was led a run goes on, where the one before stayed near all the way and where it did not."""
 
-ENOUGH, ALONG = 0.95, 0.1
-"""Share of the error that a round must leave at most, for another one; and square of the error of a run, relative to
-the noise, both in units of the motion, at which a linear plant about it is as right as about the record."""
+ENOUGH = 0.95
+"""Share of the error that a round must leave at most, for another one."""
 
 NUMBER = 1e-2
 """Step of a number, in units of it, for the force that it takes."""
@@ -118,29 +117,28 @@ def tracked(
     record: Record,
     call: Call,
     y: Float[np.ndarray, "samples dofs"],
-    near: float = ALONG,
 ) -> tuple[Call, np.ndarray]:
-    """The call whose outputs follow the record as far as its noise allows, or are as `near`, and those outputs; up to
-    where they leave it, where more runs would be needed.
+    """The call whose outputs follow the record as far as its noise allows, and those outputs; up to where they leave
+    it, where more runs would be needed.
 
-    **Arguments:** `simulator`; `plant`; `record`; `call` to begin with and its outputs `y`; `near`: as `ALONG`.
+    **Arguments:** `simulator`; `plant`; `record`; `call` to begin with and its outputs `y`.
     """
-    begun = _led(simulator, plant, record, call, y, near)
+    begun = _led(simulator, plant, record, call, y)
     if near_until(record, begun[1]) == len(y):
         return begun
     call, y = approached(simulator, plant, record, *begun)
     end = near_until(record, y)
     # No further than it ran.
-    call, y = _led(simulator, plant, record if end == len(y) else until(record, max(end, FEWEST)), call, y, near)
+    call, y = _led(simulator, plant, record if end == len(y) else until(record, max(end, FEWEST)), call, y)
     if not bounded(y):
         # It ran as far as it was led.
         y = simulator.tried(call)
     return begun if y is None else (call, y)
 
 
-def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y: np.ndarray, near: float):
-    """The call that brings the outputs nearest to what is known of a record, from one on, or as `near`; and those
-    outputs, infinite where it did not run."""
+def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y: np.ndarray):
+    """The call that brings the outputs nearest to what is known of a record, from one on; and those outputs, infinite
+    where it did not run."""
     best, size, end = (call, y), relative_error(record, y), _known_until(record)
     for _ in range(ROUNDS):
         call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
@@ -152,9 +150,7 @@ def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y:
         if now < before:
             best = call, y
         kept = np.isfinite(record.y)
-        left = FreeRun(y, np.where(kept, record.y - y, 0.0), kept)
-        noise = relative_size(record, np.sqrt(white_part(left.e, kept))[None])
-        if now > ENOUGH * before or size**2 <= near * noise or is_white([left]):
+        if now > ENOUGH * before or is_white([FreeRun(y, np.where(kept, record.y - y, 0.0), kept)]):
             break
     return best
 
