@@ -65,7 +65,9 @@ class ForceEquation:
         **Raises:** as `table_of`.
         """
         none = samples_of((), records)
-        return _once(self._tables, records, lambda: table_of(records, drive, self.catalogue, None, none, self.progress))
+        return _once(
+            self._tables, (records,), lambda: table_of(records, drive, self.catalogue, None, none, self.progress)
+        )
 
     def search(self, records: list[Record], held: list[Record], drive: AbstractDrive) -> Search:
         """The whole search.
@@ -75,18 +77,19 @@ class ForceEquation:
         arguments = records, held, drive, self.catalogue, self.max_effects
         options = {"rng": np.random.default_rng(self.seed), "progress": self.progress}
         options["table"] = lambda: self.table(records, drive)
-        return _once(self._searches, records + held, lambda: search_forces(*arguments, **options))
+        return _once(self._searches, (records, held), lambda: search_forces(*arguments, **options))
 
 
-def _once(known: dict, records: list[Record], make: Callable[[], Any]) -> Any:
+def _once(known: dict, groups: tuple[list[Record], ...], make: Callable[[], Any]) -> Any:
     """What was made for these very records, or else is made now, in the place of what was made for others."""
-    key = tuple(map(id, records))
-    if key not in known:
-        made = make()
-        known.clear()
+    key = tuple(tuple(map(id, records)) for records in groups)
+    found = known.get(key)
+    if found is None:
         # As long as they are kept, no others have their identity.
-        known[key] = records, made
-    return known[key][1]
+        found = [list(records) for records in groups], make()
+        known.clear()
+        known[key] = found
+    return found[1]
 
 
 def begin(
