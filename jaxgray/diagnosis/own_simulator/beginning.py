@@ -21,9 +21,9 @@ from .growing_parts import Ended, Grown, bettered, grown, nearly_followed
 from .runs.calls import Call
 from .runs.linearized import Linearized
 from .runs.numbers import NumbersSimulator
-from .runs.problem import Linear, Problem, Runs, parts_of
+from .runs.problem import LAW, Linear, Problem, Runs, parts_of
 from .runs.tracking import is_white, near_until
-from .settling import STILL, Settled, foreseen_by, left_by, refit_of_numbers, settle
+from .settling import NEARER, STILL, Settled, foreseen_by, left_by, left_of, refit_of_numbers, settle
 
 MAX_RELINEARIZATIONS, MAX_LEADS = 8, 2
 """Times that a simulator is linearized about a led run to lead it further; and times that it is led anew with other
@@ -121,7 +121,8 @@ class Beginner:
         if numbers is None or found.by_runs or is_white(parts_of(problem, numbers.y)[0]) or self._law_is_missing(found):
             return None
         best, entries = found, numbers.candidate.entries
-        with contextlib.suppress(BudgetSpent):
+        # What they leave is for a law of the next round, or for numbers that these runs find.
+        with contextlib.suppress(BudgetSpent), problem.allowing(2, LAW):
             for begin in (np.where(start > 0.0, start, entries), entries):
                 self.progress.stage(GROWING)
                 runs = problem.tried(problem.called(begin))
@@ -183,16 +184,16 @@ class Beginner:
         return found, runs
 
     def _moved_on(self, found: Beginning, runs: Runs) -> Beginning:
-        """With the plant about the numbers, where these have led the simulator to where it may answer otherwise: from
-        far away, or much nearer without standing still."""
+        """With the plant about the numbers, where these have led the simulator to where it answers otherwise: from far
+        away, or much nearer, and not as near as the plant foretold."""
         problem, fitted = self.problem, found.fitted
         if fitted is None or not problem.follow(fitted.y):
             return found
-        near, nearer = problem.follow(runs.y), left_by(problem, fitted.y) - left_by(problem, runs.y)
-        much = nearer < 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
-        moved = (not near or (much and not fitted.still)) and not self._law_is_missing(found)
+        left, foretold = left_by(problem, fitted.y), left_of(foreseen_by(fitted.fit, fitted.data))
+        much = left < left_by(problem, runs.y) + 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
+        moved = left > foretold + NEARER and (much or not problem.follow(runs.y)) and not self._law_is_missing(found)
         again = self._about_numbers(found) if moved else None
-        return again if again is not None and left_by(problem, again.fitted.y) <= left_by(problem, fitted.y) else found
+        return again if again is not None and left_by(problem, again.fitted.y) <= left else found
 
     def _about_numbers(self, found: Beginning) -> Beginning | None:
         """The same with the plant about the numbers that were fitted; None where runs with them are not near."""

@@ -140,7 +140,9 @@ def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y:
     """The call that brings the outputs nearest to what is known of a record, from one on; and those outputs, infinite
     where it did not run."""
     best, size, end = (call, y), relative_error(record, y), _known_until(record)
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
+        if turn and not simulator.affords(end):
+            break
         call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
         y = _tried(simulator, call, end)
         if y is None:
@@ -188,7 +190,7 @@ def approached(
     """
     limit, end, ahead = NEAR, near_until(record, y), AHEAD[0]
     for _ in range(APPROACHES):
-        if end == len(y) or limit < NEAREST:
+        if end == len(y) or limit < NEAREST or not simulator.affords(end):
             break
         end = min(end, near_until(record, y, limit))
         known = max(end, FEWEST)
