@@ -7,7 +7,7 @@ import pytest
 from found import generator
 
 from jaxgray import Record
-from jaxgray.diagnosis.conclusions.next_experiment import next_experiment
+from jaxgray.diagnosis.conclusions.next_experiment import LONGEST, next_experiment
 from jaxgray.diagnosis.model.candidate import Candidate, Data
 from jaxgray.numerics.progress import Silent
 
@@ -17,6 +17,10 @@ SAMPLES, FLOOR = 1200, 1e-3
 class Curve:
     """Answers u + c u³, c being the one entry of a candidate; its slope by a gain that any member may have."""
 
+    @property
+    def coarse(self):
+        return self
+
     def run(self, candidate, data, k=0):
         (c,) = candidate.entries
         return data.u + c * data.u**3
@@ -25,10 +29,10 @@ class Curve:
         return self.run(candidate, data), data.u[:, :, None]
 
 
-def proposed(c):
+def proposed(c, samples=SAMPLES):
     """For two members that differ by a cube of c, where the record moves within a tenth of its peak but once."""
     rng = generator("experiment")
-    u = 0.1 * rng.uniform(-1, 1, (SAMPLES, 1))
+    u = 0.1 * rng.uniform(-1, 1, (samples, 1))
     u[0] = 1.0
     record = Record(u, u, 0.01)
     data = Data.of(record)
@@ -44,6 +48,11 @@ def test_an_input_that_separates_two_laws_is_proposed_under_their_names():
     assert found.members == ("cubic_stiffness", "sine_stiffness") and "cubic_stiffness and sine_stiffness" in found.text
     assert found.separation > 9 and found.separation > 1.5 * found.separation_now
     assert np.max(np.abs(found.input)) <= 1.0 + 1e-12
+
+
+def test_an_experiment_is_no_longer_than_it_need_be():
+    found = proposed(0.01, 3 * LONGEST)
+    assert len(found.input) == LONGEST and f"{LONGEST} samples" in found.text and found.separation > 9
 
 
 @pytest.mark.parametrize("c", [0.0, 1e-5])

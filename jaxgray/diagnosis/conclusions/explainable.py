@@ -1,5 +1,7 @@
 """The share of a residual that any smooth force would explain."""
 
+import dataclasses
+
 import numpy as np
 
 from ..estimation.context import SearchContext
@@ -18,6 +20,8 @@ def explainable_share(context: SearchContext, state, floor: np.ndarray) -> float
     score = state.screening.best_by_effect().get(FlexibleForce.id)
     if score is None or not context.validation:
         return None
+    # A share needs no steps whose error is below the noise.
+    context = dataclasses.replace(context, simulator=context.simulator.coarse)
     fit = first_fit(context, state.stage, score, state.screening.noise_model, np.inf)
     if fit is None:
         return None

@@ -18,8 +18,8 @@ ROUNDS = 2
 CHILDREN = 6
 """Variations of the best input that are tried in each round."""
 
-SHORTEST = 1000
-"""Samples that an experiment has at least, if the record has as many."""
+SHORTEST, LONGEST = 1000, 8192
+"""Samples that an experiment has at least, if the record has as many, and at most."""
 
 
 def next_experiment(
@@ -40,8 +40,8 @@ def next_experiment(
         d² = min_δ ‖(y_i − y_j − J_i δ)/σ‖².
 
     **Arguments:** `context`; `members`: the class, refitted; `ids` of the laws in which they differ; `record`: whose
-    amplitude and band are kept, and its length, or that of a shorter held-out one; `floor`: noise σ per output;
-    `progress`.
+    amplitude and band are kept, and its length up to `LONGEST`, or that of a shorter held-out one; `floor`: noise σ
+    per output; `progress`.
 
     **Returns:** a `NextExperiment`, or None where the members cannot be simulated, or no input separates them, or none
     does so better than the record.
@@ -54,6 +54,9 @@ def next_experiment(
         return None
     long_enough = [d for d in context.validation if d.samples >= SHORTEST]
     data = min((context.data[0], *long_enough), key=lambda d: d.samples)
+    data = data if data.samples <= LONGEST else data.part(0, LONGEST)
+    # Of a record as long as the experiment.
+    alike = now * data.samples / context.data[0].samples
     data = dataclasses.replace(data, kept=np.arange(len(data.u))[:, None] < np.full(len(floor), data.samples))
     tried = []
     for k, (name, u) in enumerate(inputs_like(record, data.samples, rng)):
@@ -72,7 +75,7 @@ def next_experiment(
             if d is not None and d > best[0]:
                 best = d, best[1], u
     d, name, u = best
-    if d < max(settings.SEPARATION, settings.MIN_SEPARATION_RATIO * now):
+    if d < max(settings.SEPARATION, settings.MIN_SEPARATION_RATIO * alike):
         # Nothing within the amplitude and band of the record tells them apart, or not any better.
         return None
     # Where the noise has a colour, or follows the motion, a record tells less than its samples promise.
@@ -87,7 +90,8 @@ def next_experiment(
 def separation(context: SearchContext, members: list[Candidate], data: Data, floor) -> float | None:
     """The least d² between the first member and any other; None where one overflows."""
     first = Candidate(members[0].entries, (np.zeros(len(members[0].x0[0])),), members[0].terms)
-    y, J = context.simulator.run_and_jacobian(first, data)
+    simulator = context.simulator.coarse
+    y, J = simulator.run_and_jacobian(first, data)
     if not bounded(y, J):
         return None
     scale = np.where(data.kept[:, :, None], 1 / floor[None, :, None], 0.0)
@@ -98,7 +102,7 @@ def separation(context: SearchContext, members: list[Candidate], data: Data, flo
     least = None
     for other in members[1:]:
         still = Candidate(other.entries, (np.zeros(len(other.x0[0])),), other.terms)
-        run = context.simulator.run(still, data)
+        run = simulator.run(still, data)
         if not bounded(run):
             return None
         e = ((run - y) * scale[:, :, 0]).reshape(-1)

@@ -21,7 +21,7 @@ from .growing_parts import Ended, Grown, bettered, grown, nearly_followed
 from .runs.calls import Call
 from .runs.linearized import Linearized
 from .runs.numbers import NumbersSimulator
-from .runs.problem import LAW, Linear, Problem, Runs, parts_of
+from .runs.problem import Linear, Problem, Runs, parts_of
 from .runs.tracking import is_white, near_until
 from .settling import NEARER, STILL, Settled, foreseen_by, left_by, left_of, refit_of_numbers, settle
 
@@ -121,8 +121,7 @@ class Beginner:
         if numbers is None or found.by_runs or is_white(parts_of(problem, numbers.y)[0]) or self._law_is_missing(found):
             return None
         best, entries = found, numbers.candidate.entries
-        # What they leave is for a law of the next round, or for numbers that these runs find.
-        with contextlib.suppress(BudgetSpent), problem.allowing(2, LAW):
+        with contextlib.suppress(BudgetSpent):
             for begin in (np.where(start > 0.0, start, entries), entries):
                 self.progress.stage(GROWING)
                 runs = problem.tried(problem.called(begin))

@@ -388,8 +388,7 @@ class _Fit:
             if not exact and now.window.followed(now.y):
                 return now
             if not now.slopes:
-                more = taken < SLOPES and now.affords(len(now.vector) + 1)
-                now, taken = now.sloped() if more else None, taken + 1
+                now, taken = now.sloped() if taken < SLOPES else None, taken + 1
                 if now is None:
                     return None
             sure = now.fresh or (now.told and not exact)
@@ -423,10 +422,6 @@ class _Fit:
         """Whether the step from a fit `before` leads nowhere: hardly nearer to the records than that, and with slopes
         that foretell no better."""
         return before.left - self.left < SLOW * self.window.above(self.y) and not self.leads()
-
-    def affords(self, runs: int) -> bool:
-        """Whether so many runs of the window are allowed."""
-        return self.window.problem.affords(runs * self.window.share)
 
     def leads(self) -> bool:
         """Whether slopes foretell runs that follow the records, or half the way there."""
