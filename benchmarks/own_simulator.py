@@ -104,7 +104,9 @@ def judged(seed, effect):
     if effect in (None, "coulomb_friction"):
         friction = {s.name: s for s in found.shifts}["friction"]
         row["right"] = not laws and found.verdict in ("named", "noise")
-        row["friction"] = abs(friction.after - pendulum.TRUTH["friction"] - size) / friction.standard_error
+        # Without an error where something is left unexplained.
+        off = abs(friction.after - pendulum.TRUTH["friction"] - size)
+        row["friction"] = friction.standard_error and off / friction.standard_error
     else:
         members = [{m.effect for m in f.members} | {f.effect} for f in laws]
         row["right"] = len(laws) == 1 and bool(members[0] & SAME.get(effect, {effect}))

@@ -17,6 +17,7 @@ from ..mechanics.effects.base import AbstractEffect, AbstractForceEffect
 from ..mechanics.systems.drives import AbstractDrive, BaseAcceleration, Force
 from ..numerics.outcomes import RESULTS, ComputationError
 from ..numerics.progress import AbstractProgress, BudgetSpent
+from ..numerics.responses.filters import white_part
 from ..records import Record
 from . import settings
 from .conclusions.equation_error import force_diagnosis
@@ -27,7 +28,6 @@ from .equation_error.unmeasured_forces import samples_of
 from .equation_error.without_unmeasured_forces import search_forces
 from .findings import Move
 from .model.free_run import overall, rms_of
-from .noise.whitening import white_part
 from .result import Diagnosis
 
 Route = Literal["free run", "force equation", "static gain"]

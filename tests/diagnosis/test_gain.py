@@ -51,6 +51,25 @@ def test_interval_reaches_as_far_as_the_gain_differs_between_records():
     assert gain.percent == alone.percent
 
 
+@pytest.mark.parametrize(("left", "large"), [(0.1, False), (0.5, True)])
+def test_a_model_that_leaves_noise_alone_loses_nothing_on_other_records(left, large):
+    """Noise of 0.1, and a slow error beside it; the model before leaves 30 times more on the data of the fit than on
+    these, the one after the same (`left`) on both."""
+    rng = np.random.default_rng(6)
+    kept, slow = np.ones((SAMPLES, 1), bool), np.sin(np.arange(SAMPLES) / 40.0)[:, None]
+
+    def run(size):
+        return [FreeRun(slow, 0.1 * rng.standard_normal((SAMPLES, 1)) + size * slow, kept)]
+
+    before, after, seen_before, seen_after = run(0.6), run(left - 0.1), run(18.0), run(left - 0.1)
+    options = {"held_out": True, "rng": rng, "seen": (seen_before, seen_after, seen_before)}
+    gain = gain_of(before, after, before, FLOOR, NAMES, **options)
+    assert gain.percent > 20 and (gain.ci95[0] < -100) == large
+    if not large:
+        # Up to what the noise allows.
+        assert -60 < gain.ci95[0] < 0
+
+
 def test_findings_that_gain_only_together_share_one_gain():
     rng = np.random.default_rng(5)
     base, worse, both, third = runs(rng, 0.4, 0.5, 0.1, 0.1)

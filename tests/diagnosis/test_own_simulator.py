@@ -253,33 +253,6 @@ def test_a_force_leads_the_simulator_along_the_record(law, size, most):
     assert np.std(after[1][:, 0] - clean) < 0.7 * noise and simulator.count - before <= most
 
 
-def test_leading_ends_where_no_more_runs_are_allowed():
-    record, numbers = measured(pendulum.stop, 0.5, seed=3, noise=0.004)
-    simulator = Simulator(pendulum.simulator, tuple(numbers), 1)
-    call = Call(record.u, 0 * record.u, np.array(list(numbers.values())))
-    y = simulator.run(call)
-    plant = linearized(simulator, record, call, y, np.random.default_rng(1))
-    before, simulator.allowed = simulator.count, simulator.samples
-    led = tracked(simulator, plant, record, call, y)[1]
-    # What has begun is run once; without a limit it takes about twenty runs.
-    assert simulator.count - before <= 3 and np.all(np.isfinite(led))
-
-
-def test_runs_are_allowed_by_the_round():
-    record, numbers = measured()
-    simulator = Simulator(pendulum.simulator, tuple(numbers), 1, samples=500)
-    spans = (Span(record, slice(0, SAMPLES), None), Span(record[:500], None, slice(0, 500)))
-    problem = Problem(simulator, spans, np.ones(4), FORCES, apart=500)
-    # Two rounds of fifteen, less five, each of 2000 samples.
-    with problem.allowing(2, 5):
-        assert problem.affords(25) and not problem.affords(25.1)
-        simulator.samples += 24 * 2000
-        assert problem.affords(1) and not problem.affords(2)
-    assert problem.affords(1e9)
-    with problem.allowing(2, 5, least=3):
-        assert problem.affords(3) and not problem.affords(4)
-
-
 def test_a_force_that_is_no_number_is_never_tried(monkeypatch):
     record, numbers = measured(pendulum.cubic, 0.3, seed=3)
     u = record.u

@@ -10,6 +10,7 @@ from ...mechanics.effects.base import AbstractInputEffect, AbstractOutputEffect,
 from ...mechanics.model import MechanicalModel
 from ...mechanics.systems.units import composed_unit, displacement_unit
 from ...numerics.programs.stored_programs import ONCE, stored
+from ...numerics.responses.filters import white_part
 from ...records import Record
 from ..estimation.change_points import change_point_errors
 from ..estimation.context import SearchContext
@@ -21,7 +22,6 @@ from ..model.free_run import FreeRun
 from ..model.own_laws import ParameterError, completed, owner_of
 from ..model.parameter_vector import Layout
 from ..noise.floor import residual_rms
-from ..noise.whitening import white_part
 from ..screening.flexible_force import FlexibleForce
 from ..screening.score_test import Screening
 from ..search.state import Accepted, SearchState

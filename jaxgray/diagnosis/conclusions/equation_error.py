@@ -7,6 +7,7 @@ import numpy as np
 from ...identification import Identification
 from ...identification.validation.residuals import fit_of
 from ...mechanics.effects.base import Term
+from ...numerics.responses.filters import white_part
 from ...records import Record
 from .. import settings
 from ..data_checks.record_findings import noise_findings
@@ -16,7 +17,6 @@ from ..equation_error.search import Search
 from ..equation_error.unmeasured_forces import warnings_of
 from ..findings import Curves, Finding, Member, ModelSummary, Move, NotFound
 from ..model.free_run import overall, rms_of
-from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..selection import Runs
 from .assembly import estimates_of, shifts_of

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float, Int
 
+from ...numerics.responses.filters import white_part
 from .. import settings
 from ..findings import Gain
 from .free_run import FreeRun
@@ -58,10 +59,10 @@ def gain_of(
     everything = np.arange(len(short))
     pairs = {name: (float(b), float(a)) for name, b, a in zip(names, *short.rmse(everything)[:2])}
     percent = float(short.percent(everything))
-    between = 0.0
+    between = np.zeros(2)
     if held_out and seen is not None:
         fitted = _Pieces(seen, floor, 1)
-        between = abs(float(fitted.left(np.arange(len(fitted))) - short.left(everything)))
+        between = np.abs(fitted.kept(np.arange(len(fitted))) - short.kept(everything))
     interval = tuple(np.quantile(draws, INTERVAL).tolist()) if once else _interval(runs, floor, between)
     return Gain(pairs, percent, interval, float(np.quantile(draws, settings.HELD_OUT_RISK / trials)), held_out)
 
@@ -98,26 +99,33 @@ class _Pieces:
 
     def left(self, index: Int[np.ndarray, "... drawn"]) -> Float[np.ndarray, "..."]:
         """Logarithm of the share of the error that is left, over some pieces."""
+        return self.kept(index)[..., 0]
+
+    def kept(self, index: Int[np.ndarray, "... drawn"]) -> Float[np.ndarray, "... 2"]:
+        """That, and the logarithm of the error that is left itself, in units of the floor."""
         before, after, _ = self.overall(index)
-        return np.log(np.maximum(after / before, 1e-12))
+        return np.stack([np.log(np.maximum(after / before, 1e-12)), np.log(after)], axis=-1)
 
 
 def _cut(run: FreeRun, each: int) -> list[np.ndarray]:
     return np.array_split(np.flatnonzero(run.kept.any(axis=1)), each)
 
 
-def _interval(runs, floor, between: float) -> tuple[float, float]:
+def _interval(runs, floor, between: Float[np.ndarray, " 2"]) -> tuple[float, float]:
     """95 % interval of the gain: of the logarithm of the error that is left, by the jackknife over long pieces, and its
-    difference `between` records in squares; towards a loss no further than the worst piece, or the fit, shows."""
+    difference `between` records in squares; towards a loss no further than the worst piece, or the fit, shows, nor than
+    what may be left is above its white part: less than that no model leaves, so that none loses more."""
     spreads = []
     for wanted in LONG:
         pieces = _Pieces(runs, floor, max(1, -(-wanted // len(runs[0]))))
         everything = np.arange(len(pieces))
-        left = [pieces.left(np.delete(everything, k)) for k in everything]
-        spreads.append(np.sqrt((len(left) - 1) * np.var(left)))
-    reach = np.hypot(float(scipy.special.stdtrit(LONG[0] - 1, 0.975)) * max(spreads), between)
-    whole, before, baseline = float(pieces.left(everything)), *pieces.overall(everything)[::2]
+        kept = np.array([pieces.kept(np.delete(everything, k)) for k in everything])
+        spreads.append(np.sqrt((len(kept) - 1) * np.var(kept, axis=0)))
+    reach = np.hypot(float(scipy.special.stdtrit(LONG[0] - 1, 0.975)) * np.max(spreads, axis=0), between)
+    whole, (before, _, baseline) = pieces.kept(everything), pieces.overall(everything)
     # Where nearly all of the error lies in one piece, the gain without that piece is small, but it is no loss.
-    worst = max(float(np.max(pieces.left(everything[:, None]))), whole + between)
-    ends = min(whole + reach, worst), whole - reach
+    worst = max(float(np.max(pieces.left(everything[:, None]))), whole[0] + between[0])
+    white = np.mean([white_part(run.e, run.kept) for run in runs[1]], axis=0)
+    above = whole[1] - 0.5 * float(np.log(max(np.mean(white / floor**2), 1e-300)))
+    ends = min(whole[0] + reach[0], worst, max(above + reach[1], whole[0])), whole[0] - reach[0]
     return tuple(float(100 * before / baseline * (1 - np.exp(end))) for end in ends)

@@ -3,11 +3,11 @@
 import numpy as np
 from jaxtyping import Float
 
+from ...numerics.responses.filters import white_part
 from ...records import Record
 from .. import settings
 from ..model.baseline import ADOPTED
 from ..model.candidate import Data
-from .whitening import white_part
 
 TRUSTED_PERIODS = 2
 """Whole periods needed for a noise floor from what does not repeat."""

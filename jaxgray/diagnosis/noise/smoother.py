@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...mechanics.systems.statespace import StateSpace
-from .whitening import _FLOOR, _kalman_gain, _respond, white_part
+from ...numerics.responses.filters import white_part
+from .whitening import _FLOOR, _kalman_gain, _respond
 
 UNDAMPED = 1e-8
 """Decay a sample that every motion has at least, for the smoother."""

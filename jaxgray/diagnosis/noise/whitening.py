@@ -23,7 +23,7 @@ from ...numerics.matrices.bounded import bounded
 from ...numerics.matrices.riccati import kalman_gain
 from ...numerics.programs.side_by_side import side_by_side
 from ...numerics.programs.stored_programs import ONCE, stored
-from ...numerics.responses.filters import filtered
+from ...numerics.responses.filters import filtered, white_part
 from ...numerics.responses.lifting import respond, respond_many
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 25)])
@@ -137,13 +137,6 @@ def counted(kept: Bool[np.ndarray, "samples outputs"]) -> Bool[np.ndarray, "samp
         whole[lag:] &= kept[:-lag]
     whole[: min(SETTLING, len(kept) // 4)] = False
     return whole
-
-
-def white_part(e: Float[np.ndarray, "samples outputs"], kept) -> Float[np.ndarray, " outputs"]:
-    """Variance of the white part of a residual, from its second differences."""
-    second = np.diff(e, n=2, axis=0) ** 2
-    known = kept[2:] & kept[1:-1] & kept[:-2]
-    return np.sum(np.where(known, second, 0.0), axis=0) / (6 * np.maximum(known.sum(axis=0), 1))
 
 
 def estimate_noise_model(

@@ -184,13 +184,14 @@ class Beginner:
 
     def _moved_on(self, found: Beginning, runs: Runs) -> Beginning:
         """With the plant about the numbers, where these have led the simulator to where it answers otherwise: from far
-        away, or much nearer, and not as near as the plant foretold."""
+        away, or much nearer, and not to where the plant foretold."""
         problem, fitted = self.problem, found.fitted
         if fitted is None or not problem.follow(fitted.y):
             return found
         left, foretold = left_by(problem, fitted.y), left_of(foreseen_by(fitted.fit, fitted.data))
         much = left < left_by(problem, runs.y) + 2 * problem.record.outputs * np.log(settings.MUCH_NEARER)
-        moved = left > foretold + NEARER and (much or not problem.follow(runs.y)) and not self._law_is_missing(found)
+        otherwise = abs(left - foretold) > NEARER and (much or not problem.follow(runs.y))
+        moved = otherwise and not self._law_is_missing(found)
         again = self._about_numbers(found) if moved else None
         return again if again is not None and left_by(problem, again.fitted.y) <= left else found
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from ...numerics.responses.filters import white_part
 from ...numerics.text import listed
 from .. import settings
 from ..acceptance import unproven
@@ -15,7 +16,6 @@ from ..findings import Curves, Estimate, Finding, Gain, Member, ParameterShift
 from ..model.free_run import FreeRun, overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.floor import ADOPTED, independent_floor
-from ..noise.whitening import white_part
 from ..result import Diagnosis
 from ..search.state import SearchState
 from .necessary_numbers import Necessary, necessary

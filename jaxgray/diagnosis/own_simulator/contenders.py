@@ -20,7 +20,7 @@ from ..screening.score_test import Score
 from ..search.confusable import alike, resemble
 from ..search.state import Accepted, SearchState
 from .runs.problem import Linear, Outputs, Problem, parts_of
-from .settling import FEWEST, NEARER, WRONG, Settled, foreseen_by, left_by, left_of, settle, settled_further
+from .settling import NEARER, WRONG, Settled, foreseen_by, left_by, left_of, settle, settled_further
 
 MOST = 4
 """Laws that are settled in the simulator in one round."""
@@ -89,8 +89,6 @@ def chosen(
 
     contenders = _contenders(state, accepted)
     for name, fit in contenders:
-        if settled and not problem.affords(FEWEST):
-            break
         tried(name, _about(problem, context, fit.candidate.terms[-1], best) or (context, fit, wholes))
     if not settled:
         raise failure

@@ -20,10 +20,10 @@ from jaxtyping import Bool, Float
 
 from ...identification.refinement.conic import pseudo_inverse, step_inside, undetermined
 from ...numerics.matrices.positive import ClarabelSolver
+from ...numerics.responses.filters import white_part
 from .. import settings
 from ..estimation.gauss_newton import NOTHING, Refit
 from ..model.free_run import FreeRun, rms_of
-from ..noise.whitening import white_part
 from .runs.calls import Call, Failure
 from .runs.problem import Outputs, Problem, Runs, Span
 from .runs.tracking import near_until

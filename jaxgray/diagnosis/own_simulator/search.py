@@ -28,15 +28,12 @@ from .force_balance import Balanced, balance_diagnosis, search_balance
 from .growing_parts import FEWEST
 from .runs.calls import Simulator, checked_function, checked_numbers
 from .runs.numbers import NumbersSimulator
-from .runs.problem import LAW, Linear, Problem, Runs, Span, nearer, parts_of, sized
+from .runs.problem import Linear, Problem, Runs, Span, nearer, parts_of, sized
 from .runs.tracking import is_white, near_until
 from .settling import Settled, refit_of_numbers
 
 NOT_EXPLAINED = "partly", "unexplained"
 """Verdicts that leave something open."""
-
-SPARED = 2
-"""Runs that are spared for what is said of laws and numbers at the end."""
 
 REPEATED, AGAIN = 1e-9, 8
 """Difference of two runs with the same inputs, relative to the motion, that rounding may make; and the part of a run
@@ -106,9 +103,7 @@ def _diagnosed(problem: Problem, catalogue, max_effects: int, separate: bool, rn
     _check_repeatable(problem, baseline)
     # Beyond where a run leaves its record the least change may show: an arm that turns over does so elsewhere.
     end = max(near_until(problem.record, baseline.y[0]), FEWEST)
-    before = simulator.samples
     units = sized(simulator, baseline.calls[0], baseline.y[0], end)
-    problem.apart = simulator.samples - before
     start = np.where(problem.units == 0.0, 0.0, 1.0)
     problem.units = units
 
@@ -166,8 +161,7 @@ def _laws(
         if law is None:
             break
         try:
-            with problem.allowing(len(settled) + 2, SPARED, LAW):
-                law, now = chosen(problem, context, state, law, wholes, before)
+            law, now = chosen(problem, context, state, law, wholes, before)
         except ComputationError:
             # What was settled before stays; without any, its numbers alone are judged.
             state.rejected.append(Rejected.of(law.attempt.name, law.attempt.delta_bic, NOT_SIMULATED))

@@ -32,9 +32,6 @@ foretold to leave at most, for numbers that do not explain all to be moved on.""
 WRONG = np.log(0.02)
 """Logarithm of the part of what a run leaves by which the linear plant about it may be wrong in what it foretells."""
 
-FEWEST, LEADING = 2, 3
-"""Runs until they stand still, and those to lead one along the records, that are made if no more are allowed."""
-
 CLOSED = 3
 """Runs that bring the forces of given laws along the simulator's own motion."""
 
@@ -95,15 +92,13 @@ def settle(
     steps, ends, foretold = [], [], []
     samples = sum(span.fit.stop - span.fit.start for span in problem.spans if span.fit is not None)
     for turn in range(SETTLING):
-        if turn >= FEWEST and not problem.affords(1):
-            break
         context.progress.unlimited.stage(f"settling in the simulator ({turn + 1})")
         calls, foreseen = problem.with_laws(linear, candidate, wholes) or (None, None)
         runs = problem.tried(calls if candidate.terms else problem.called(candidate.entries))
         if runs is None:
             break
         about = runs
-        if candidate.terms and turn < LED and problem.affords(LEADING) and not problem.follow(runs.y):
+        if candidate.terms and turn < LED and not problem.follow(runs.y):
             # The force of a law along a motion that the simulator leaves is none along its own.
             about = problem.led(runs)
         if not wholes.along and problem.follow(about.y):

@@ -16,6 +16,7 @@ import numpy as np
 from ...mechanics.effects.base import AbstractEffect
 from ...mechanics.runs.simulate import initial_state
 from ...numerics.matrices.bounded import bounded
+from ...numerics.responses.filters import white_part
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.continuation import ROUGH, settled
@@ -23,7 +24,7 @@ from ..estimation.gauss_newton import Refit, refit
 from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
 from ..model.simulator import Simulator
-from ..noise.whitening import white_noise_model, white_part
+from ..noise.whitening import white_noise_model
 from ..screening.linearization import screen_simulated
 from .forward import extend, select_forward
 from .state import SearchState, held_out_run

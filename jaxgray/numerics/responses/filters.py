@@ -44,3 +44,10 @@ def without_gaps(x: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, "
         known = np.isfinite(column)
         column[:] = np.interp(at, at[known], column[known]) if known.any() else 0.0
     return filled
+
+
+def white_part(e: Float[np.ndarray, "samples outputs"], kept) -> Float[np.ndarray, " outputs"]:
+    """Variance of the white part of a residual, from its second differences."""
+    second = np.diff(e, n=2, axis=0) ** 2
+    known = kept[2:] & kept[1:-1] & kept[:-2]
+    return np.sum(np.where(known, second, 0.0), axis=0) / (6 * np.maximum(known.sum(axis=0), 1))

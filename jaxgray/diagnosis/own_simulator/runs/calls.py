@@ -46,8 +46,8 @@ class Simulator:
     """A simulator with the names of its numbers.
 
     `function`; `names`; `outputs`: how many it must give; `workers`: processes that run it, 1 for this one alone;
-    `count`: calls so far, and `samples` that they simulated, of those that are `allowed`; whether it `stops` early: of
-    the first inputs alone it makes the same first outputs. As a context it ends its processes.
+    `count`: calls so far, and `samples` that they simulated; whether it `stops` early: of the first inputs alone it
+    makes the same first outputs. As a context it ends its processes.
     """
 
     function: Simulation
@@ -56,7 +56,6 @@ class Simulator:
     workers: int = 1
     count: int = 0
     samples: int = 0
-    allowed: float = np.inf
     stops: bool = True
     _pool: concurrent.futures.ProcessPoolExecutor | None = field(default=None, repr=False)
 
@@ -67,10 +66,6 @@ class Simulator:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
-
-    def affords(self, samples: float) -> bool:
-        """Whether so many samples more are allowed. Whoever can do without more runs asks; nothing stops the others."""
-        return self.samples + samples <= self.allowed
 
     def run(self, call: Call, end: int | None = None) -> Float[np.ndarray, "samples outputs"]:
         """The outputs of one call, as `runs` gives them.

@@ -1,7 +1,6 @@
 """Records and a simulator together: runs of all records and of their parts, forces by the numbers, and data for the
 linear plant."""
 
-import contextlib
 import dataclasses
 from dataclasses import dataclass
 
@@ -45,10 +44,6 @@ IDLE = 1e-9
 EXACT, SHRUNK = 6, 0.5
 """Rounds at most in which the forces of a run are made exact for the steps of the linear plant, and the share of its
 error that a round must leave at most, for another one."""
-
-ROUND, LAW = 11, 8
-"""Runs that a search for one law may take, beside one for every number, as far as it can do without more; and those
-of them that are for the law itself."""
 
 RUNS_AWAY = "the linear plant that stands for the simulator along its run diverges"
 
@@ -99,8 +94,7 @@ class Runs:
 class Problem:
     """What a diagnosis works on: `simulator`, `spans`, `units` of the numbers (values of entry 1), `laws`: force laws
     of the catalogue; and, once they are known, the linear `plant`, how inputs act (`input_map`), which numbers are
-    `idle`: they move no output, whether a run with the numbers as they were given is far `away` from a record, and how
-    many samples were simulated `apart` from the rounds."""
+    `idle`: they move no output, and whether a run with the numbers as they were given is far `away` from a record."""
 
     simulator: Simulator
     spans: tuple[Span, ...]
@@ -110,31 +104,11 @@ class Problem:
     input_map: Float[np.ndarray, "dofs inputs"] | None = None
     idle: Bool[np.ndarray, " numbers"] | None = None
     away: bool = False
-    apart: int = 0
 
     @property
     def record(self) -> Record:
         """The first record."""
         return self.spans[0].record
-
-    @contextlib.contextmanager
-    def allowing(self, rounds: int, spare: int, least: int = 0):
-        """Within it no more are allowed than so many rounds of runs from the first one on, each for one law, less some
-        to `spare` for what comes next; but so many from here on at `least`."""
-        runs = (rounds * (ROUND + len(self.units)) - spare) * self._samples + self.apart
-        self.simulator.allowed = max(runs, self.simulator.samples + least * self._samples)
-        try:
-            yield
-        finally:
-            self.simulator.allowed = np.inf
-
-    def affords(self, runs: float) -> bool:
-        """Whether so many runs more are allowed."""
-        return self.simulator.affords(runs * self._samples)
-
-    @property
-    def _samples(self) -> int:
-        return sum(span.record.samples for span in self.spans)
 
     def parts(self) -> tuple[list[Record], list[Record]]:
         """The data of the fit, and those held out."""

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ....numerics.matrices.bounded import bounded
+from ....numerics.responses.filters import white_part
 from ....records import Record
 from ... import settings
 from ...model.free_run import FreeRun
-from ...noise.whitening import white_part
 from .calls import Call, Failure, Simulator
 from .forecast import forecast
 from .linearized import Linearized
@@ -140,9 +140,7 @@ def _led(simulator: Simulator, plant: Linearized, record: Record, call: Call, y:
     """The call that brings the outputs nearest to what is known of a record, from one on; and those outputs, infinite
     where it did not run."""
     best, size, end = (call, y), relative_error(record, y), _known_until(record)
-    for turn in range(ROUNDS):
-        if turn and not simulator.affords(end):
-            break
+    for _ in range(ROUNDS):
         call = Call(call.u, following_force(plant, record, call.w, y), call.numbers)
         y = _tried(simulator, call, end)
         if y is None:
@@ -190,7 +188,7 @@ def approached(
     """
     limit, end, ahead = NEAR, near_until(record, y), AHEAD[0]
     for _ in range(APPROACHES):
-        if end == len(y) or limit < NEAREST or not simulator.affords(end):
+        if end == len(y) or limit < NEAREST:
             break
         end = min(end, near_until(record, y, limit))
         known = max(end, FEWEST)
