@@ -126,6 +126,7 @@ def _interval(runs, floor, between: Float[np.ndarray, " 2"]) -> tuple[float, flo
     # Where nearly all of the error lies in one piece, the gain without that piece is small, but it is no loss.
     worst = max(float(np.max(pieces.left(everything[:, None]))), whole[0] + between[0])
     white = np.mean([white_part(run.e, run.kept) for run in runs[1]], axis=0)
-    above = whole[1] - 0.5 * float(np.log(max(np.mean(white / floor**2), 1e-300)))
+    # Noise that changes its sign from sample to sample seems more than it is.
+    above = max(whole[1] - 0.5 * float(np.log(max(np.mean(white / floor**2), 1e-300))), 0.0)
     ends = min(whole[0] + reach[0], worst, max(above + reach[1], whole[0])), whole[0] - reach[0]
     return tuple(float(100 * before / baseline * (1 - np.exp(end))) for end in ends)
