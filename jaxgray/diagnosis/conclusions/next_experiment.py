@@ -55,8 +55,6 @@ def next_experiment(
     long_enough = [d for d in context.validation if d.samples >= SHORTEST]
     data = min((context.data[0], *long_enough), key=lambda d: d.samples)
     data = data if data.samples <= LONGEST else data.part(0, LONGEST)
-    # Of a record as long as the experiment.
-    alike = now * data.samples / context.data[0].samples
     data = dataclasses.replace(data, kept=np.arange(len(data.u))[:, None] < np.full(len(floor), data.samples))
     tried = []
     for k, (name, u) in enumerate(inputs_like(record, data.samples, rng)):
@@ -75,7 +73,7 @@ def next_experiment(
             if d is not None and d > best[0]:
                 best = d, best[1], u
     d, name, u = best
-    if d < max(settings.SEPARATION, settings.MIN_SEPARATION_RATIO * alike):
+    if d < max(settings.SEPARATION, settings.MIN_SEPARATION_RATIO * now):
         # Nothing within the amplitude and band of the record tells them apart, or not any better.
         return None
     # Where the noise has a colour, or follows the motion, a record tells less than its samples promise.

@@ -125,8 +125,15 @@ def _interval(runs, floor, between: Float[np.ndarray, " 2"]) -> tuple[float, flo
     whole, (before, _, baseline) = pieces.kept(everything), pieces.overall(everything)
     # Where nearly all of the error lies in one piece, the gain without that piece is small, but it is no loss.
     worst = max(float(np.max(pieces.left(everything[:, None]))), whole[0] + between[0])
-    white = np.mean([white_part(run.e, run.kept) for run in runs[1]], axis=0)
-    # Noise that changes its sign from sample to sample seems more than it is.
-    above = max(whole[1] - 0.5 * float(np.log(max(np.mean(white / floor**2), 1e-300))), 0.0)
-    ends = min(whole[0] + reach[0], worst, max(above + reach[1], whole[0])), whole[0] - reach[0]
+    # Fast errors of one model seem white as well.
+    white = np.minimum(_white(runs[0]), _white(runs[1])) / floor
+    above = max(whole[1] - float(np.log(max(np.sqrt(np.mean(white**2)), 1e-300))), 0.0)
+    ends = min(whole[0] + reach[0], worst, max(above, whole[0]) + reach[1]), whole[0] - reach[0]
     return tuple(float(100 * before / baseline * (1 - np.exp(end))) for end in ends)
+
+
+def _white(runs: list[FreeRun]) -> Float[np.ndarray, " outputs"]:
+    """Root mean square of the white part of what runs leave, per output."""
+    counts = np.array([run.kept.sum(axis=0) for run in runs])
+    white = np.array([white_part(run.e, run.kept) for run in runs])
+    return np.sqrt(np.sum(counts * white, axis=0) / np.maximum(counts.sum(axis=0), 1))

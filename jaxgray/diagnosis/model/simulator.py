@@ -140,8 +140,6 @@ FOLLOWED = 0.5
 FOLLOWED_BY_ACCELEROMETERS = 0.1
 """The same where accelerations are measured, which see at once when a force jumps."""
 
-COARSE = 4
-"""Steps per sample at most where the error of the steps need not be below the noise."""
 
 MOST_TO_BEGIN = 8
 """Steps per sample up to which a search begins with."""
@@ -299,8 +297,9 @@ class Simulator:
 
     @property
     def coarse(self) -> "Simulator":
-        """The same in steps that follow a force, whatever the noise: itself where its own are as long."""
-        return self if self.substeps <= COARSE else type(self)(self.setup, self.laws, substeps=COARSE)
+        """The same in steps as a search begins with, whatever the noise: itself where its own are as long."""
+        steps = min(self.substeps, MOST_TO_BEGIN)
+        return self if steps == self.substeps else type(self)(self.setup, self.laws, substeps=steps)
 
     def _inputs_by_entry(self, data: Data) -> tuple | None:
         """By how much the entries change the inputs at start and end of every sample and, where they are seen, at the

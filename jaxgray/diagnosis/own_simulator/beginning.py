@@ -183,8 +183,8 @@ class Beginner:
         return found, runs
 
     def _moved_on(self, found: Beginning, runs: Runs) -> Beginning:
-        """With the plant about the numbers, where these have led the simulator to where it answers otherwise: from far
-        away, or much nearer, and not to where the plant foretold."""
+        """With the plant about the numbers, where these have led the simulator to where it may answer otherwise: from
+        far away, or much nearer; not where the next run is foretold to leave as much as the last one."""
         problem, fitted = self.problem, found.fitted
         if fitted is None or not problem.follow(fitted.y):
             return found

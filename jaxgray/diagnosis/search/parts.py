@@ -155,8 +155,7 @@ def _carried_over(context: SearchContext, start: Candidate, part: SearchState) -
         last = k == len(part.accepted) - 1
         found = part.fit if last else accepted.attempt.fit
         terms = found.candidate.terms[: k + 1]
-        x0 = start.x0 if whole.fit is None else whole.fit.candidate.x0
-        fit = _refitted(context, Candidate(found.candidate.entries, x0, terms), first, to_its_end=last)
+        fit = _refitted(context, Candidate(found.candidate.entries, start.x0, terms), first)
         if fit is None:
             return None
         runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
@@ -167,14 +166,13 @@ def _carried_over(context: SearchContext, start: Candidate, part: SearchState) -
     return whole
 
 
-def _refitted(context: SearchContext, candidate: Candidate, first, *, to_its_end: bool) -> Refit | None:
-    """Under white noise first, which brings the first states into place; then, if `to_its_end`, under that of what is
-    left. What the laws before the last one explain is said of their free runs alone."""
+def _refitted(context: SearchContext, candidate: Candidate, first) -> Refit | None:
+    """Under white noise first, which brings the first states into place, then under that of what is left."""
     white = white_noise_model(first.e, context.data[0].kept, first.system)
     options = {"held": context.held, "max_steps": STEPS, "tolerance": ROUGH}
     fit = refit(context.simulator, candidate, context.data, white, **options)
-    if fit is None or not to_its_end:
-        return fit
+    if fit is None:
+        return None
     noise_model = noise_model_of(context, fit)
     again = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=STEPS)
     return fit if again is None else settled(context, again, noise_model)
