@@ -9,6 +9,7 @@ from found import generator
 from jaxgray import Record
 from jaxgray.diagnosis.conclusions.next_experiment import LONGEST, next_experiment
 from jaxgray.diagnosis.model.candidate import Candidate, Data
+from jaxgray.diagnosis.model.simulator import Simulator
 from jaxgray.numerics.progress import Silent
 
 SAMPLES, FLOOR = 1200, 1e-3
@@ -48,6 +49,13 @@ def test_an_input_that_separates_two_laws_is_proposed_under_their_names():
     assert found.members == ("cubic_stiffness", "sine_stiffness") and "cubic_stiffness and sine_stiffness" in found.text
     assert found.separation > 9 and found.separation > 1.5 * found.separation_now
     assert np.max(np.abs(found.input)) <= 1.0 + 1e-12
+
+
+def test_an_experiment_takes_no_steps_as_short_as_noise_asks_for():
+    fine, short = (Simulator("setup", ("law",), substeps=steps) for steps in (32, 4))
+    coarse = fine.coarse
+    assert (coarse.substeps, coarse.setup, coarse.laws) == (8, "setup", ("law",)) and fine.substeps == 32
+    assert short.coarse is short and coarse.coarse is coarse
 
 
 def test_an_experiment_is_no_longer_than_it_need_be():

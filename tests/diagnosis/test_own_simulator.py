@@ -253,6 +253,21 @@ def test_a_force_leads_the_simulator_along_the_record(law, size, most):
     assert np.std(after[1][:, 0] - clean) < 0.7 * noise and simulator.count - before <= most
 
 
+@pytest.mark.parametrize(("foretold", "moved"), [(-10.01, False), (-9.99, False), (-10.5, True), (-9.5, True)])
+def test_the_plant_moves_on_where_the_next_run_is_foretold_to_leave_something_else(monkeypatch, foretold, moved):
+    """Numbers that led runs from far away to leave −10, as a logarithm."""
+    asked = []
+    monkeypatch.setattr(beginning, "left_by", lambda problem, y: y)
+    monkeypatch.setattr(beginning, "foreseen_by", lambda fit, data: fit)
+    monkeypatch.setattr(beginning, "left_of", lambda runs: runs)
+    monkeypatch.setattr(beginning.Beginner, "_law_is_missing", lambda self, found: False)
+    monkeypatch.setattr(beginning.Beginner, "_about_numbers", lambda self, found: asked.append(found))
+    problem = SimpleNamespace(follow=lambda y: y < -5.0, record=SimpleNamespace(outputs=1))
+    found = SimpleNamespace(fitted=SimpleNamespace(y=-10.0, fit=foretold, data=None))
+    begun = beginning.Beginner(problem, None, None, None)._moved_on(found, SimpleNamespace(y=-2.0))
+    assert begun is found and bool(asked) == moved
+
+
 def test_a_force_that_is_no_number_is_never_tried(monkeypatch):
     record, numbers = measured(pendulum.cubic, 0.3, seed=3)
     u = record.u
