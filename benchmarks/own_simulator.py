@@ -104,7 +104,7 @@ def judged(seed, effect):
     if effect in (None, "coulomb_friction"):
         friction = {s.name: s for s in found.shifts}["friction"]
         row["right"] = not laws and found.verdict in ("named", "noise")
-        # Without an error where something is left unexplained.
+        # Without an error where it is not determined, or something is left unexplained.
         off = abs(friction.after - pendulum.TRUTH["friction"] - size)
         row["friction"] = friction.standard_error and off / friction.standard_error
     else:

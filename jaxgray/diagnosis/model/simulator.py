@@ -140,7 +140,6 @@ FOLLOWED = 0.5
 FOLLOWED_BY_ACCELEROMETERS = 0.1
 """The same where accelerations are measured, which see at once when a force jumps."""
 
-
 MOST_TO_BEGIN = 8
 """Steps per sample up to which a search begins with."""
 

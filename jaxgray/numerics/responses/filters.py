@@ -47,7 +47,11 @@ def without_gaps(x: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, "
 
 
 def white_part(e: Float[np.ndarray, "samples outputs"], kept) -> Float[np.ndarray, " outputs"]:
-    """Variance of the white part of a residual, from its second differences."""
+    """Variance of the white part of a residual, from its second differences, in squares of its units: that of white noise
+    alone, and next to nothing of what is slow; of what has few samples a period it counts as much or more.
+
+    **Arguments:** residual `e`; `kept`: which of its samples count.
+    """
     second = np.diff(e, n=2, axis=0) ** 2
     known = kept[2:] & kept[1:-1] & kept[:-2]
     return np.sum(np.where(known, second, 0.0), axis=0) / (6 * np.maximum(known.sum(axis=0), 1))
