@@ -47,8 +47,9 @@ def without_gaps(x: Float[np.ndarray, "samples outputs"]) -> Float[np.ndarray, "
 
 
 def white_part(e: Float[np.ndarray, "samples outputs"], kept) -> Float[np.ndarray, " outputs"]:
-    """Variance of the white part of a residual, from its second differences, in squares of its units: that of white noise
-    alone, and next to nothing of what is slow; of what has few samples a period it counts as much or more.
+    """Variance of the white part of a residual, from its second differences, in squares of its units.
+
+    All of white noise, and next to nothing of what is slow; what has few samples a period counts as white, too.
 
     **Arguments:** residual `e`; `kept`: which of its samples count.
     """
