@@ -292,7 +292,7 @@ def _of_clean_records(
     data = [Data.of(r) for r in records]
     longest = max(len(d.u) for d in data)
     context = SearchContext(
-        Simulator(baseline.setup, FORCES, substeps=steps_of(baseline.model, records[0].sampling_time)),
+        Simulator(baseline.setup, FORCES, steps=steps_of(baseline.model, records[0].sampling_time)),
         data,
         [Data.of(r, longest) for r in held],
         searched,

@@ -9,7 +9,7 @@ from found import generator
 from jaxgray import Record
 from jaxgray.diagnosis.conclusions.next_experiment import LONGEST, next_experiment
 from jaxgray.diagnosis.model.candidate import Candidate, Data
-from jaxgray.diagnosis.model.simulator import Simulator
+from jaxgray.diagnosis.model.simulator import Simulator, Steps
 from jaxgray.numerics.progress import Silent
 
 SAMPLES, FLOOR = 1200, 1e-3
@@ -52,9 +52,9 @@ def test_an_input_that_separates_two_laws_is_proposed_under_their_names():
 
 
 def test_an_experiment_takes_no_steps_as_short_as_noise_asks_for():
-    fine, short = (Simulator("setup", ("law",), substeps=steps) for steps in (32, 4))
+    fine, short = (Simulator("setup", ("law",), steps=steps) for steps in (Steps(8, True), Steps(4, True)))
     coarse = fine.coarse
-    assert (coarse.substeps, coarse.setup, coarse.laws) == (8, "setup", ("law",)) and fine.substeps == 32
+    assert (coarse.steps, coarse.setup, coarse.laws) == (Steps(8), "setup", ("law",)) and fine.steps == Steps(8, True)
     assert short.coarse is short and coarse.coarse is coarse
 
 

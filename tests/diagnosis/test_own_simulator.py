@@ -14,6 +14,7 @@ import scipy.signal
 import jaxgray
 from jaxgray.diagnosis.estimation.measured_motion import FORCES
 from jaxgray.diagnosis.model.candidate import Candidate
+from jaxgray.diagnosis.model.simulator import Steps
 from jaxgray.diagnosis.own_simulator import beginning
 from jaxgray.diagnosis.own_simulator.conclusions import _shifts
 from jaxgray.diagnosis.own_simulator.runs import tracking
@@ -202,7 +203,7 @@ def test_the_varying_plant_moves_as_the_simulator_does(hold):
     run = problem.runs(problem.called(np.ones(4)))
     problem.spans = (Span(dataclasses.replace(record, y=run.y[0]), slice(0, SAMPLES), None),)
     problem.plant = linearized(simulator, record, run.calls[0], run.y[0], np.random.default_rng(1))
-    linear = problem.linear_simulator(np.ones(4), 1)
+    linear = problem.linear_simulator(np.ones(4), Steps())
     wholes = problem.linear_data(linear, problem.with_forces(run))
     here = Candidate(np.ones(4), wholes.states)
     assert np.std(linear.run(here, wholes.data[0])[:SAMPLES] - run.y[0]) < 1e-4 * np.std(run.y[0])
@@ -229,7 +230,7 @@ def test_the_linear_plant_of_a_stiff_drive_moves_as_the_simulator_does(frequency
     problem = Problem(Simulator(drive, (), 2), (Span(record, slice(0, SAMPLES), None),), np.ones(0), FORCES)
     run = problem.runs(problem.called(np.ones(0)))
     problem.plant = linearized(problem.simulator, record, run.calls[0], run.y[0], np.random.default_rng(1))
-    linear = problem.linear_simulator(np.ones(0), 2)
+    linear = problem.linear_simulator(np.ones(0), Steps(2))
     wholes = problem.linear_data(linear, problem.with_forces(run))
     moved = linear.run(Candidate(np.ones(0), wholes.states), wholes.data[0])[:SAMPLES]
     assert np.all(np.std(moved - run.y[0], axis=0) < 2e-3 * np.std(run.y[0], axis=0))

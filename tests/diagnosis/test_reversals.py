@@ -18,7 +18,7 @@ from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.model.parameter_vector import Layout
 from jaxgray.diagnosis.model.reversals import undecided
-from jaxgray.diagnosis.model.simulator import Simulator
+from jaxgray.diagnosis.model.simulator import Simulator, Steps
 from jaxgray.diagnosis.noise.whitening import white_noise_model
 from jaxgray.diagnosis.screening.linearization import screen_simulated, stage_of
 from jaxgray.mechanics.effects import by_id
@@ -61,7 +61,7 @@ def linear(frame, record, *, damping=1.0):
         output_names=record.output_names,
     )
     baseline = baseline_of([record], None, model)
-    simulator = Simulator(baseline.setup, LAWS, substeps=16)
+    simulator = Simulator(baseline.setup, LAWS, steps=Steps(16))
     return simulator, dataclasses.replace(baseline.start, x0=(np.zeros(4),))
 
 

@@ -6,8 +6,9 @@ import numpy as np
 
 from ...mechanics.effects.base import AbstractForceEffect, Term, onset_of
 from .. import settings
-from ..model.candidate import Candidate
+from ..model.candidate import Candidate, Data
 from ..model.reversals import decided_residual
+from ..model.simulator import Simulator, Steps
 from ..noise.whitening import NoiseModel
 from ..screening.linearization import rows_of
 from .change_points import from_near_change_points, from_other_change_points, width_of
@@ -22,7 +23,11 @@ ROUGH = 0.3
 """Decrement, in units of the noise variance, at which a first refit is good enough to compare."""
 
 MOST_STEPS = 32
-"""Steps per sample up to which a force is followed."""
+"""Steps per sample, of all runs together, up to which a force is followed."""
+
+SMOOTH = 3.0
+"""By how much steps half as long must take the error down for it to go with their square, which takes it to a quarter:
+then it is extrapolated."""
 
 EDGE_STEPS = 4
 """Steps per sample from which the beginning of a force is followed within one of them, not within a sample."""
@@ -95,11 +100,11 @@ def sharpened(context: SearchContext, fit: Refit) -> Refit:
     The simulator keeps the shorter steps.
     """
     fit = with_sharp_edge(context, fit)
-    steps, before = context.simulator.substeps, noise_model_of(context, fit)
+    steps, before = context.simulator.steps, noise_model_of(context, fit)
     trial, error = in_short_steps(context, fit)
     if trial is fit or error > settings.MAX_STEP_ERROR or noise_model_of(context, trial).cost < before.cost - 2.0:
         return trial
-    context.simulator.substeps = steps
+    context.simulator.steps = steps
     return fit
 
 
@@ -109,14 +114,14 @@ def with_sharp_edge(context: SearchContext, fit: Refit) -> Refit:
 
     The simulator keeps the steps that follow it.
     """
-    steps, sharp = context.simulator.substeps, _sharp(context, fit.candidate)
+    steps, sharp = context.simulator.steps, _sharp(context, fit.candidate)
     if sharp is fit.candidate:
         return fit
-    context.simulator.substeps = max(steps, EDGE_STEPS)
+    context.simulator.steps = dataclasses.replace(steps, count=max(steps.count, EDGE_STEPS))
     trial = at_the_same_steps(context, dataclasses.replace(fit, candidate=sharp))
     if noise_model_of(context, trial).cost < noise_model_of(context, fit).cost - settings.MIN_DELTA_BIC:
         return trial
-    context.simulator.substeps = steps
+    context.simulator.steps = steps
     return fit
 
 
@@ -135,19 +140,44 @@ def _sharp(context: SearchContext, candidate: Candidate) -> Candidate:
 def in_short_steps(context: SearchContext, fit: Refit) -> tuple[Refit, float]:
     """A refit in steps so short that their error cannot be told from noise, itself where it is so already, and the
     error of its own steps; the simulator takes the shorter steps from then on."""
-    simulator, steps = context.simulator, context.simulator.substeps
+    steps, rows = context.simulator.steps, rows_of(context.data[0])
     error = integration_error(context, fit)
-    rows = rows_of(context.data[0])
-    if error**2 * rows < 1.0 or steps >= MOST_STEPS:
+    if error**2 * rows < 1.0 or steps.halved.cost > MOST_STEPS:
         return fit, error
-    simulator.substeps = min(MOST_STEPS, steps * 2 ** int(np.ceil(np.log2(2 * error * np.sqrt(rows)))))
+    context.simulator.steps = min(_short_enough(context, fit), key=lambda steps: steps.cost)
     return at_the_same_steps(context, fit), error
+
+
+def _short_enough(context: SearchContext, fit: Refit) -> list[Steps]:
+    """Steps whose error cannot be told from noise, plain ones and, where the error goes with their square, ones that
+    are extrapolated; neither longer than those that the simulator takes, nor more than `MOST_STEPS`."""
+    steps, tolerable = context.simulator.steps, 0.5 / np.sqrt(rows_of(context.data[0]))
+
+    def residual(steps):
+        return _residual(context.simulator.in_steps(steps), fit, context.data[0])
+
+    def change(finer, coarser):
+        return _relative(finer - coarser, fit)
+
+    def enough(here, error, order):
+        while error > tolerable and here.halved.cost <= MOST_STEPS:
+            here, error = here.halved, error / 2**order
+        return here
+
+    count = steps.count
+    coarse, middle, fine = (residual(Steps(k * count)) for k in (1, 2, 4))
+    first, second = change(middle, coarse), change(fine, middle)
+    if not first > SMOOTH * second:
+        return [enough(Steps(count), first, 1)]
+    # Extrapolated from 2 and 4 less from 1 and 2: the error of the latter, of which an eighth is left in the former.
+    left = change(fine + (fine - middle) / 3, middle + (middle - coarse) / 3)
+    return [enough(Steps(count), first, 2), enough(Steps(max(count, 2), True), left * (8 if count > 1 else 1), 3)]
 
 
 def at_the_same_steps(context: SearchContext, fit: Refit) -> Refit:
     """A refit again, in the steps that the simulator takes by now."""
     noise_model = noise_model_of(context, fit)
-    candidate = fit.candidate if context.simulator.substeps < EDGE_STEPS else _sharp(context, fit.candidate)
+    candidate = fit.candidate if context.simulator.steps.count < EDGE_STEPS else _sharp(context, fit.candidate)
     again = refit(context.simulator, candidate, context.data, noise_model, held=context.held, max_steps=10)
     return fit if again is None else settled(context, again, noise_model)
 
@@ -159,11 +189,18 @@ def integration_error(context: SearchContext, fit: Refit) -> float:
         isinstance(term.effect, AbstractForceEffect) for term in context.simulator.completed(fit.candidate).terms
     ):
         return 0.0
-    data, simulator, steps = context.data[0], context.simulator, context.simulator.substeps
-    simulator.substeps = 2 * steps
-    finer, _ = decided_residual(simulator, fit.candidate, data, simulator.run(fit.candidate, data))
-    simulator.substeps = steps
+    simulator = context.simulator
+    finer = _residual(simulator.in_steps(simulator.steps.halved), fit, context.data[0])
     # Residuals are zero where nothing was measured, or where it says nothing.
-    change = np.where((finer != 0) & (fit.residual[0] != 0), finer - fit.residual[0], 0.0)
+    return _relative(np.where(finer != 0, finer - fit.residual[0], 0.0), fit)
+
+
+def _residual(simulator: Simulator, fit: Refit, data: Data) -> np.ndarray:
+    return decided_residual(simulator, fit.candidate, data, simulator.run(fit.candidate, data))[0]
+
+
+def _relative(change: np.ndarray, fit: Refit) -> float:
+    """A change of the residual relative to what a fit leaves: root mean square over the outputs."""
+    change = np.where(fit.residual[0] != 0, change, 0.0)
     level = np.maximum(np.sum(fit.residual[0] ** 2, axis=0), 1e-300)
     return float(np.sqrt(np.mean(np.sum(change**2, axis=0) / level)))

@@ -303,9 +303,9 @@ def _followed(
     if not fits:
         return fits
     costs = {name: noise_model_of(context, fit).cost + _penalty(context, score) for name, (score, fit) in fits.items()}
-    best, steps = min(costs, key=costs.get), context.simulator.substeps
+    best, steps = min(costs, key=costs.get), context.simulator.steps
     sharp = sharpened(context, fits[best][1])
-    if sharp is fits[best][1] and context.simulator.substeps == steps:
+    if sharp is fits[best][1] and context.simulator.steps == steps:
         return fits
     near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < settings.MAX_CRITERION_GAP}
     for name, (score, _) in fits.items():

@@ -6,6 +6,7 @@ stage is compiled once for all laws that remember as much.
 
 import bisect
 import dataclasses
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -144,6 +145,28 @@ MOST_TO_BEGIN = 8
 """Steps per sample up to which a search begins with."""
 
 
+@dataclass(frozen=True)
+class Steps:
+    """The steps of a simulation: `count` of them per sample; `extrapolated`: from runs in so many and in half as many
+    to steps that are infinitely short, which mends what goes with their square (Richardson).
+
+    **Reference:** Hairer, Nørsett & Wanner, *Solving Ordinary Differential Equations I* (Springer, 1993), §II.9.
+    """
+
+    count: int = 1
+    extrapolated: bool = False
+
+    @property
+    def cost(self) -> float:
+        """Steps per sample of all runs together."""
+        return 1.5 * self.count if self.extrapolated else self.count
+
+    @property
+    def halved(self) -> "Steps":
+        """Steps half as long."""
+        return Steps(2 * self.count, self.extrapolated)
+
+
 class Form(eqx.Module):
     """A law at a place without values: what is static about a term."""
 
@@ -162,28 +185,32 @@ def natural_frequencies_hz(plant: MechanicalModel | Plant) -> Float[np.ndarray, 
     return np.sort(np.sqrt(np.maximum(values.real, 0.0))) / (2 * np.pi)
 
 
-def steps_of(model: MechanicalModel, sampling_time: float) -> int:
-    """Steps per sample that follow added forces where the fastest mode has few samples in a period.
+def steps_of(model: MechanicalModel, sampling_time: float) -> Steps:
+    """Steps that follow added forces where the fastest mode has few samples in a period.
 
     **Arguments:** `model`; `sampling_time` [s].
 
-    **Returns:** a power of two, from 1 to `MOST_TO_BEGIN`.
+    **Returns:** steps whose number is a power of two, from 1 to `MOST_TO_BEGIN`.
     """
     turned = 2 * np.pi * float(natural_frequencies_hz(model)[-1]) * sampling_time
     followed = FOLLOWED_BY_ACCELEROMETERS if "acceleration" in model.measured else FOLLOWED
-    return int(np.clip(2 ** np.ceil(np.log2(max(turned / followed, 1.0))), 1, MOST_TO_BEGIN))
+    return Steps(int(np.clip(2 ** np.ceil(np.log2(max(turned / followed, 1.0))), 1, MOST_TO_BEGIN)))
 
 
 class Simulator:
     """Free runs of candidates on records, with derivatives; holds nothing but what is static.
 
-    **Arguments:** `setup`; `laws`: force laws of the catalogue; `substeps`: steps per sample of added forces.
+    **Arguments:** `setup`; `laws`: force laws of the catalogue; `steps`: of added forces.
     """
 
-    def __init__(self, setup: Setup, laws: tuple[AbstractForceEffect, ...], *, substeps: int = 1):
+    def __init__(self, setup: Setup, laws: tuple[AbstractForceEffect, ...], *, steps: Steps = Steps()):
         self.setup = setup
         self.laws = laws
-        self.substeps = substeps
+        self.steps = steps
+
+    def in_steps(self, steps: Steps) -> "Simulator":
+        """The same in other steps."""
+        return type(self)(self.setup, self.laws, steps=steps)
 
     def _plant(self, candidate: Candidate):
         terms = _only(candidate.terms, AbstractMatrixEffect)
@@ -222,7 +249,7 @@ class Simulator:
         if len(plain.terms) == len(full.terms):
             return None
         setup = dataclasses.replace(self.setup, own=())
-        return type(self)(setup, self.laws, substeps=self.substeps), plain
+        return type(self)(setup, self.laws, steps=self.steps), plain
 
     def _inputs(self, candidate: Candidate, data: Data):
         terms = _only(candidate.terms, AbstractInputEffect)
@@ -253,13 +280,22 @@ class Simulator:
 
     def _run(self, candidate: Candidate, data: Data, record: int):
         plant, x0, inputs, slots, table = self._parts(candidate, data, record)[:5]
-        made = _run(plant, x0, *inputs, slots, data.traced_sampling_time, table, data.scheduling, self._steps)
-        return jax.device_get(made)
 
-    @property
-    def _steps(self):
-        # As an array, so that one program serves any number.
-        return np.asarray(self.substeps)
+        def run(count):
+            made = _run(plant, x0, *inputs, slots, data.traced_sampling_time, table, data.scheduling, count)
+            return jax.device_get(made)
+
+        return self._in_short_steps(run, slots)
+
+    def _in_short_steps(self, run, slots):
+        """What a function of the steps per sample gives in this simulator's steps."""
+        # As arrays, so that one program serves any number.
+        made = run(np.asarray(self.steps.count))
+        if slots is None or not self.steps.extrapolated:
+            return made
+        return jax.tree.map(
+            lambda fine, coarse: fine + (fine - coarse) / 3, made, run(np.asarray(self.steps.count // 2))
+        )
 
     def _parts(self, candidate, data, record):
         plant, dplant = self._plant(candidate)
@@ -297,8 +333,7 @@ class Simulator:
     @property
     def coarse(self) -> "Simulator":
         """The same in steps as a search begins with, whatever the noise: itself where its own are as long."""
-        steps = min(self.substeps, MOST_TO_BEGIN)
-        return self if steps == self.substeps else type(self)(self.setup, self.laws, substeps=steps)
+        return self if self.steps.cost <= MOST_TO_BEGIN else self.in_steps(Steps(MOST_TO_BEGIN))
 
     def _inputs_by_entry(self, data: Data) -> tuple | None:
         """By how much the entries change the inputs at start and end of every sample and, where they are seen, at the
@@ -376,8 +411,9 @@ class Simulator:
                 rows.append(None if parts[0] is None else np.stack(parts))
             along = Directions(*rows, *changes)
             along = jax.tree.map(lambda X: _pad(X, count), along)
-            return _run_and_derivative(
-                plant, x0, *inputs, slots, along, data.traced_sampling_time, table, data.scheduling, self._steps
+            given, T = (plant, x0, *inputs, slots, along), data.traced_sampling_time
+            return self._in_short_steps(
+                lambda steps: jax.device_get(_run_and_derivative(*given, T, table, data.scheduling, steps)), slots
             )
 
         if slots is None:

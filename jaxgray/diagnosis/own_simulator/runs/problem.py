@@ -17,6 +17,7 @@ from ....numerics.outcomes import RESULTS, ComputationError
 from ....records import Record
 from ...model.candidate import Candidate, Data
 from ...model.free_run import FreeRun, rms_of
+from ...model.simulator import Steps
 from .calls import Call, Failure, Simulator
 from .linearized import Linearized, linearized
 from .numbers import FixedMatrices, NumbersSetup, NumbersSimulator, OwnNumbers, over_time
@@ -182,7 +183,7 @@ class Problem:
         """Whether runs are near the whole records."""
         return all(near_until(span.record, one) == len(one) for span, one in zip(self.spans, y))
 
-    def linear_simulator(self, entries: Float[np.ndarray, " numbers"], substeps: int) -> NumbersSimulator:
+    def linear_simulator(self, entries: Float[np.ndarray, " numbers"], steps: Steps) -> NumbersSimulator:
         """The linear plant, with some entries as they are in the runs that it is about."""
         record, plant, count = self.record, self.plant, len(entries)
         known = np.eye(record.outputs)
@@ -199,7 +200,7 @@ class Problem:
             plant=FixedMatrices(plant.mass, plant.damping, plant.stiffness),
             here=np.array(entries, float),
         )
-        return NumbersSimulator(setup, self.laws, substeps=substeps)
+        return NumbersSimulator(setup, self.laws, steps=steps)
 
     def linear_model(self, terms: tuple[Term, ...] = ()) -> MechanicalModel:
         """The linear plant as a model with the names of the record, and laws."""
@@ -265,7 +266,7 @@ class Problem:
         have those of the records before."""
         if not runs.by_number:
             runs = dataclasses.replace(runs, by_number=wholes.by_number, along=wholes.along)
-        linear = self.linear_simulator(candidate.entries, linear.substeps)
+        linear = self.linear_simulator(candidate.entries, linear.steps)
         return linear, self.linear_data(linear, runs)
 
     def fit_data(self, wholes: "Linear") -> list[Data]:
