@@ -1,11 +1,12 @@
-"""A free run over data, its first state fitted to their head, and its error."""
+"""A free run over data and its error: the first state is fitted to their head, phases of their own to all of them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from .candidate import Candidate, Data
+from ...mechanics.effects.base import Term
+from .candidate import Candidate, Data, estimated
 from .parameter_vector import state_step
 from .reversals import decided_residual
 from .simulator import Simulator
@@ -13,6 +14,9 @@ from .simulator import Simulator
 HEAD = 0.05
 """Share of a held-out record on which its first state is estimated."""
 
+
+TURNS = 3
+"""Of the fit of phases, each about the run before."""
 
 SHORTENED = 1.0, 0.5, 0.25, 0.1, 0.02
 """Shares of a step for the first state that are tried, the first that brings the run nearer is taken."""
@@ -36,14 +40,17 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
     """Free run on a record that the fit has not seen, its first state estimated on the first few samples.
 
     Gauss-Newton steps from rest and from the state of the model without its forces, shortened where they overshoot:
-    from rest a body that dry friction holds shows nothing of where else it might have been.
+    from rest a body that dry friction holds shows nothing of where else it might have been. What has another phase in
+    every record takes the amplitude and the phase that this one shows.
 
-    **Arguments:** `simulator`; `candidate`, of which everything but the first state is kept; `data`; `steps`: of
-    Gauss-Newton for the first state; `share` of the record used for it.
+    **Arguments:** `simulator`; `candidate`, of which all else is kept; `data`; `steps`: of Gauss-Newton for the first
+    state; `share` of the record used for it.
 
     **Returns:** a `FreeRun` that leaves the head out.
     """
     states = 2 * simulator.setup.dofs
+    phased = tuple(term for term in candidate.terms if term.effect.own_phase)
+    candidate = candidate.with_terms(term for term in candidate.terms if not term.effect.own_phase)
     head = np.zeros_like(data.kept)
     length = max(int(share * data.samples), 3 * states)
     head[:length] = data.kept[:length]
@@ -78,9 +85,45 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
     if bare is not None:
         ends.append(descended(candidate, descended(bare[1], rest, 1, bare[0])[1].x0[0], steps))
     here = min(ends, key=lambda end: end[0])[1]
+    if phased:
+        known = _with_phases(simulator, here, phased, data, size)
+        _, begun = descended(known, here.x0[0], steps)
+        here = _with_phases(simulator, begun.with_terms(candidate.terms), phased, data, size)
     y = simulator.run(here, data)
     e, _ = decided_residual(simulator, here, data, y)
     return FreeRun(y, e, data.kept & ~head)
+
+
+def _with_phases(simulator: Simulator, here: Candidate, terms: tuple[Term, ...], data: Data, size) -> Candidate:
+    """A candidate with terms of which a record has its own amplitude and phase, those that least squares give."""
+    best, after = (np.inf, here), here.with_terms((*here.terms, *terms))
+    for _ in range(TURNS):
+        y, J = simulator.run_and_jacobian(after, data)
+        e = np.where(data.kept, data.y - y, 0.0)
+        cost = float(np.sum((e / size) ** 2)) if np.all(np.isfinite(J[data.kept])) else np.inf
+        if not cost < best[0]:
+            break
+        best, moved, last = (cost, after), [], J.shape[2]
+        for term in reversed(after.terms[len(here.terms) :]):
+            p = np.array(term.values, dtype=float)
+            own, first = _of_one_record(term), last - len(estimated(term))
+            change = np.zeros(len(p))
+            moved.append((term, p, own, [first + estimated(term).index(k) for k in own], change))
+            last = first
+        columns = [k for *_, at, _ in moved for k in at]
+        step = state_step(e, J[:, :, columns], data.kept, size)
+        for _, _, own, at, change in moved:
+            change[own], step = step[: len(at)], step[len(at) :]
+        new = [Term(t.effect, t.place, t.effect.bounded(t.effect.moved(p, change))) for t, p, *_, change in moved]
+        after = here.with_terms((*here.terms, *reversed(new)))
+    return best[1]
+
+
+def _of_one_record(term: Term) -> list[int]:
+    """Positions of the parameters of a term that every record has of its own: those that its linear parts differ in,
+    and its amplitude."""
+    parts = np.stack(term.effect.basis(np.array(term.values, dtype=float)))
+    return [k for k in estimated(term) if term.effect.parameters[k].amplitude or np.ptp(parts[:, k]) > 0]
 
 
 def overall(rmse: Float[np.ndarray, " outputs"], floor: Float[np.ndarray, " outputs"]) -> float:

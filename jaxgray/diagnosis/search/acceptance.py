@@ -6,6 +6,7 @@ import numpy as np
 
 from ...identification.validation.residuals import residual_test
 from ...mechanics.effects.sensor import SensorCrosstalk
+from ...numerics.matrices.bounded import bounded
 from ..acceptance import AbstractEvidence, negligible, unproven, unsound
 from ..estimation.context import SearchContext
 from ..estimation.multistart import Attempt, unresolved
@@ -83,7 +84,8 @@ def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: 
     names = context.names[1]
     seen = runs_seen(context, here.e, attempt.fit.residual[0], state.start.e)
     if is_local(context, attempt.score.shape.effect) or not context.validation:
-        runs = state.runs
+        runs = [held_out_run(context, attempt.fit.candidate, d) for d in context.validation]
+        runs = runs if all(bounded(run.e) for run in runs) else state.runs
         # What happened once need not show in every part of the record.
         options = {"held_out": False, "rng": context.rng, "once": bool(attempt.score.shape.effect.onset)}
         gain = gain_of(*seen, floor, names, **options)

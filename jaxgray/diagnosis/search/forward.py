@@ -313,4 +313,4 @@ def recount(context: SearchContext, state: SearchState, floor: np.ndarray) -> No
                 state.accepted[at] = dataclasses.replace(state.accepted[at], gain=part)
             before, waiting = accepted.runs, []
         if not waiting:
-            left = now
+            before, left = accepted.runs, now

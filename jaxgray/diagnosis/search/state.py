@@ -82,6 +82,7 @@ def runs_seen(context: SearchContext, *residuals: np.ndarray) -> tuple[list[Free
 
 
 def held_out_run(context: SearchContext, candidate: Candidate, data: Data) -> FreeRun:
-    """Free run on held-out data, without what belongs to the clock of the estimation record."""
-    terms = tuple(term for term in candidate.terms if not is_local(context, term.effect))
+    """Free run on held-out data, without what belongs to the clock of the estimation record; what has another phase in
+    every record has that of these data."""
+    terms = (term for term in candidate.terms if term.effect.own_phase or not is_local(context, term.effect))
     return free_run(context.simulator, candidate.with_terms(terms), data)

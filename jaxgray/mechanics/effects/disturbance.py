@@ -37,6 +37,11 @@ class PeriodicDisturbance(AbstractForceEffect):
     def combine(self, p, weights):
         return self.bounded([p[0] * np.hypot(*weights), p[1], np.arctan2(weights[1], weights[0])])
 
+    def moved(self, p, change):
+        # Straight in the plane of A cos(phase) and A sin(phase), in which the force is linear.
+        along, across = p[0] + change[0], p[0] * change[2]
+        return np.array([np.hypot(along, across), p[1] + change[1], p[2] + np.arctan2(across, along)])
+
     def force(self, p, here, z):
         return -p[0] * jnp.sin(2.0 * jnp.pi * p[1] * here.t + p[2])
 
