@@ -132,26 +132,28 @@ def measured(folder: pathlib.Path, name, file, held_out, source, output, expecte
     return row
 
 
-def store(path: pathlib.Path, sets: list[str], share: float, folder: pathlib.Path | None):
-    """Diagnose what the file does not hold yet, and write it after every record."""
+def store(path: pathlib.Path, sets: list[str], share: float, folder: pathlib.Path | None, *, more=dict, wanted=None):
+    """Diagnose what the file does not hold yet, and write it after every record, with what `more` says of it; `wanted`:
+    whether a record, by set, truth and number, is to be; default all."""
     rows = json.loads(path.read_text()) if path.exists() else []
     known = {(row["set"], row["truth"], row["number"]) for row in rows}
 
     def keep(row):
-        rows.append(row)
+        rows.append(row | more())
         path.write_text(json.dumps(rows, default=lambda x: np.asarray(x).tolist(), indent=1))
         said = ", ".join(f"{e}@{p}" for e, p, _ in row.get("found", [])) or row.get("failed", "nothing")
         print(f"{row['set']:12s} {row['truth']:42s} {row['worth']} {said} {row.get('seconds', 0.0):.1f} s", flush=True)
 
     for number, (name, truth, k, rng, make, options) in enumerate(cases()):
         chosen = any(name.startswith(one) for one in sets) and (number * share) % 1.0 < share
-        if not chosen or (name, truth, k) in known:
+        if not chosen or (name, truth, k) in known or not (wanted is None or wanted((name, truth, k))):
             continue
         row = hidden_effects.run("null" if name == "nulls" else "single", truth, rng, make, options, 0)
         row |= {"set": name, "number": k}
         keep(row | {"worth": worth(row)})
     for name, *rest in MEASURED if folder is not None and "measured" in sets else ():
-        if ("measured", name, 0) not in known and (folder / rest[0]).exists():
+        wished = wanted is None or wanted(("measured", name, 0))
+        if wished and ("measured", name, 0) not in known and (folder / rest[0]).exists():
             row = {"set": "measured", "truth": name, "number": 0}
             try:
                 row |= measured(folder, name, *rest)
