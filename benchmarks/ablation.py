@@ -100,7 +100,7 @@ RULES = (
     Rule("search.backward", "_simplify", fixed(None), "state"),
     Rule("search.restart", "for_the_free_run", fixed(None), "state"),
     Rule("search.restart", "from_other_modes", fixed(None), "state"),
-    Rule("search.final_swap", "_classes_again", fixed(None), "state"),
+    Rule("search.swap", "swap", fixed(None), "state"),
 )
 
 

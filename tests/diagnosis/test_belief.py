@@ -59,9 +59,9 @@ def test_what_is_refused_for_its_error_alone_stays_in_the_class_of_what_explains
     context = SimpleNamespace(simulator=SimpleNamespace(setup=SimpleNamespace(own=())))
     sine = attempt("sine_stiffness", -20.0)
     for criterion, member in ((-25.0, True), (-15.0, True), (-45.0, False)):
-        rivals, refused = _class_of(context, sine, [attempt("cubic_stiffness", criterion)])
+        rivals, _, refused = _class_of(context, sine, [attempt("cubic_stiffness", criterion)])
         assert [rival.name[0] for rival in rivals] == ["cubic_stiffness"] * member and not refused
-    (one,) = _class_of(context, sine, [attempt("cubic_stiffness", 0.0)])[1]
+    (one,) = _class_of(context, sine, [attempt("cubic_stiffness", 0.0)])[2]
     assert one.why == "explained better by sine_stiffness at y1 (by 20)"
 
 

@@ -7,7 +7,6 @@ import pytest
 from independent import random_steps, simulate
 
 import jaxgray
-from jaxgray.diagnosis.estimation.measured_motion import FORCES
 from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.model.free_run import free_run
@@ -37,7 +36,7 @@ def fitted():
     names = {"input_names": record.input_names, "output_names": record.output_names}
     baseline = baseline_of([record], None, jaxgray.MechanicalModel(M * one, D * one, K * one, **names))
     term = Term(DISTURBED, Place("y1", 0), np.array([0.5, 1.3, 0.3]))
-    return Simulator(baseline.setup, FORCES, steps=Steps(4)), baseline.start.with_terms((term,))
+    return Simulator(baseline.setup, (DISTURBED,), steps=Steps(4)), baseline.start.with_terms((term,))
 
 
 @pytest.mark.parametrize("amplitude, phase", [(0.5, 0.3), (0.5, 0.3 + np.pi), (0.2, -1.8), (1.5, 2.0), (0.0, 0.0)])

@@ -10,7 +10,6 @@ from independent import random_steps
 
 import jaxgray
 from jaxgray.diagnosis.estimation.continuation import MOST_STEPS, in_short_steps, integration_error
-from jaxgray.diagnosis.estimation.measured_motion import FORCES
 from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.model.simulator import Simulator, Steps
@@ -44,7 +43,7 @@ def posed(law, noise):
     names = {"input_names": record.input_names, "output_names": record.output_names}
     model = jaxgray.MechanicalModel(np.array([[M]]), np.array([[D]]), np.array([[K]]), **names)
     baseline = baseline_of([record], None, model)
-    simulator, data = Simulator(baseline.setup, FORCES), Data.of(record)
+    simulator, data = Simulator(baseline.setup, (by_id(law),)), Data.of(record)
     start = dataclasses.replace(baseline.start, x0=(np.zeros(2),))
     candidate = start.with_terms((Term(by_id(law), Place("y1", 0), np.array(values)),))
     return simulator, candidate, data, q

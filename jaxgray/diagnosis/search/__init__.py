@@ -19,7 +19,10 @@ round:
               less than 10) cannot be told from it: they are its equivalence class
     Prune     a law accepted before that the new one contains becomes part of it; laws that the new one has made
               needless are dropped. If nothing of this happened, simpler laws that explain nearly as much replace
-              accepted ones. Then the next round
+              accepted ones
+    Swap      every law accepted before is compared again, in the model with the new one, with its class and with what
+              was refitted in its round and explained less, or had no sure gain: the best one replaces it. Then the next
+              round
 
 If no candidate passes, the round goes on to further *moves*, in this order, until one succeeds:
 
@@ -29,8 +32,8 @@ If no candidate passes, the round goes on to further *moves*, in this order, unt
     4   the best candidate that failed only for its gain on held-out data is kept for one more round; both stay if
         another one passes in that round, otherwise neither
 
-The search ends when the score test shows nothing, when no move succeeds, or with `max_effects` effects. Then every
-member of an equivalence class is tried once more beside all other laws of the final model.
+The search ends when the score test shows nothing, when no move succeeds, or with `max_effects` effects. Then laws are
+swapped once more, in the final model.
 
 state         the search state: structure, refit, what was accepted, what was refused and why
 forward       the rounds
@@ -39,7 +42,7 @@ acceptance    the clauses that judge a refit in this search, for the rule of `di
 confusable    which laws resemble one another, and which contain another one
 provisional   move 4
 backward      pruning
-final_swap    the last comparison of equivalence classes, in the final model
+swap          accepted laws compared once more beside later ones; the last refits of all
 parts         the search on a part of a long record, followed by a refit on all of it; candidates from the force
               equation (`diagnosis.equation_error`) where free runs lose phase with the record
 restart       the accepted model refitted once more, under white noise and from the modes of the record; the refit

@@ -25,7 +25,6 @@ from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
 from .backward import prune
 from .confusable import alike, commonest_first, needless
-from .final_swap import swap_rivals
 from .proposals import (
     behind_the_noise,
     closer_screening,
@@ -37,7 +36,8 @@ from .proposals import (
 )
 from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
 from .restart import for_the_free_run
-from .state import Accepted, SearchState, held_out_run, is_local, runs_seen
+from .state import MOST_COMPARED, Accepted, SearchState, held_out_run, is_local, runs_seen
+from .swap import conclude, swap
 
 
 def select_forward(
@@ -62,7 +62,7 @@ def select_forward(
     if errors:
         extend(dataclasses.replace(context, catalogue=errors), state, max_errors, errors)
     extend(context, state, max_effects, (*context.catalogue, FlexibleForce()))
-    swap_rivals(context, state)
+    conclude(context, state)
     return state
 
 
@@ -213,7 +213,7 @@ def _accepted(
     most: int | None = None,
 ) -> bool:
     """Accept the best candidate that holds and surely gains `least` [%], among the first `most`; whether one did."""
-    floor, unsure = floor_of(context, ranked), []
+    floor, unsure, ahead = floor_of(context, ranked), [], []
     judged = len(ranked) if most is None else most
     ranked = commonest_first(ranked[:judged], context.catalogue) + ranked[judged:]
     for k, attempt in enumerate(ranked[:judged]):
@@ -229,14 +229,17 @@ def _accepted(
             words = f"coloured noise could do the same, and no more than {gain.ci99_lower:.0f} % is a sure gain"
             why = Refusal(Reason.NO_SURE_GAIN, words)
         if why is None:
-            rivals, refused = _class_of(context, attempt, unsure + ranked[k + 1 :])
+            rivals, others, refused = _class_of(context, attempt, unsure + ranked[k + 1 :])
             # What was refused for its error alone, and explains as much or more, may be it all the same.
             names = {rival.name for rival in rivals}
             state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names] + refused
-            _take(context, state, Accepted(attempt, rivals, gain, runs, move))
+            others = (*ahead, *others)[:MOST_COMPARED]
+            _take(context, state, Accepted(attempt, rivals, gain, runs, move, others))
             return True
         state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
         unsure += [attempt] if why.reason is Reason.UNCERTAIN else []
+        # Its gain may be sure where another law is there, too.
+        ahead += [attempt] if why.reason is Reason.NO_SURE_GAIN else []
     return False
 
 
@@ -249,6 +252,8 @@ def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> Non
     names = {one.attempt.name for one in state.accepted}
     state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
     prune(context, state)
+    if len(state.accepted) == len(names):
+        swap(context, state)
     for_the_free_run(context, state)
 
 
@@ -272,14 +277,16 @@ def _provisional(context: SearchContext, state: SearchState, ranked: list[Attemp
 
 def _class_of(
     context: SearchContext, attempt: Attempt, others: list[Attempt]
-) -> tuple[tuple[Attempt, ...], list[Rejected]]:
-    """What the record hardly tells from an attempt, among those that were refitted with it, and why not the rest."""
-    rivals, refused, given = [], [], context.simulator.setup.own
+) -> tuple[tuple[Attempt, ...], tuple[Attempt, ...], list[Rejected]]:
+    """What the record hardly tells from an attempt, among those that were refitted with it, what else might explain as
+    much beside other laws, and why neither is accepted."""
+    rivals, near, refused, given = [], [], [], context.simulator.setup.own
     for other in others:
         behind = other.criterion - attempt.criterion
         if behind <= -alike(attempt, other):
             continue
         if behind >= alike(attempt, other):
+            near += [other] if behind < settings.MAX_CRITERION_GAP and _may_swap(context, attempt, other) else []
             words = f"explained better by {' at '.join(attempt.name)} (by {behind:.0f})"
             why = Refusal(Reason.EXPLAINED_BETTER, words)
         elif needless(other, attempt):
@@ -293,7 +300,15 @@ def _class_of(
             rivals.append(other)
             continue
         refused.append(Rejected.of(other.name, other.delta_bic, why))
-    return tuple(rivals[:3]), refused
+    return tuple(rivals[:MOST_COMPARED]), tuple(near[:MOST_COMPARED]), refused
+
+
+def _may_swap(context: SearchContext, attempt: Attempt, other: Attempt) -> bool:
+    """Whether another law is one of its own, neither more nor less of the same."""
+    one, two = attempt.score.shape.effect, other.score.shape.effect
+    same = one.id in two.contains or two.id in one.contains
+    bound = at_bound(other.fit, len(other.fit.candidate.terms) - 1, context.simulator.setup.own)
+    return not same and bound is None and unresolved(other.fit, other.score) is None
 
 
 def recount(context: SearchContext, state: SearchState, floor: np.ndarray) -> None:

@@ -14,17 +14,26 @@ from ..model.free_run import FreeRun, free_run
 from ..screening.linearization import Stage
 from ..screening.score_test import Screening
 
+MOST_COMPARED = 3
+"""Laws that share a class with a finding, and others that are compared with it again, at most."""
+
 
 @dataclass(frozen=True)
 class Accepted:
     """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs;
-    `move`: how it came in."""
+    `move`: how it came in; `others`: what was refitted with it and explained less, though not far less."""
 
     attempt: Attempt
     rivals: tuple[Attempt, ...]
     gain: Gain
     runs: list[FreeRun]
     move: Move = Move.SCORE_TEST
+    others: tuple[Attempt, ...] = ()
+
+    @property
+    def compared(self) -> tuple[Attempt, ...]:
+        """What may take its place beside other findings."""
+        return (*self.rivals, *self.others)
 
     @property
     def stage(self) -> str:

@@ -1,5 +1,5 @@
-"""The classes of several findings, judged once more in the whole model: what stood for an effect while others were
-missing need not stand for it beside them."""
+"""Findings and what was refitted beside them, compared once more in the model with later findings: what explains most
+while others are missing need not do so beside them."""
 
 import contextlib
 import dataclasses
@@ -18,35 +18,37 @@ from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
 from ..model.free_run import overall
 from ..noise.whitening import NoiseModel
 from .confusable import alike, needless
-from .state import SearchState, held_out_run
+from .state import MOST_COMPARED, SearchState, held_out_run
 
 STEPS = 10
 """Of each refit of a rival."""
 
 
-def swap_rivals(context: SearchContext, state: SearchState) -> None:
-    """Refit every rival in its finding's place in the model with all findings. Those that are far behind leave the
-    class; one that is far ahead takes the place. The last finding's rivals were refitted there, unless it took in a law
-    that it contains. At the end all is refitted in steps whose error cannot be told from noise."""
+def swap(context: SearchContext, state: SearchState) -> None:
+    """Refit every rival of an earlier finding, and what was refitted with it and explained less, in its place in the
+    model with all findings. What is far ahead takes the place; what is as good is of its class. The last finding's were
+    refitted there, unless it took in a law that it contains."""
+    last = len(state.accepted) - 1
+    for k, accepted in enumerate(state.accepted):
+        if k < last and accepted.compared or any(np.isinf(rival.criterion) for rival in accepted.rivals):
+            context.progress.stage(f"judging rivals of {accepted.attempt.name[0]} again")
+            _class_again(context, state, k)
+
+
+def conclude(context: SearchContext, state: SearchState) -> None:
+    """The last refits of all findings together: sums of elements at fewer thresholds, `swap`, and steps whose error
+    cannot be told from noise."""
     if state.fit is not None:
         fewer = at_fewer_everywhere(context, state.fit, max_steps=STEPS, tolerance=ROUGH)
         if fewer is not state.fit:
             _go_on(context, state, fewer)
     with contextlib.suppress(BudgetSpent):
-        _classes_again(context, state)
+        swap(context, state)
     if state.fit is not None:
         # Too small to change a decision, the error of the steps may still move values by more than their error bars.
         fine, _ = in_short_steps(context, state.fit)
         if fine is not state.fit and not _lost(context, state, fine):
             _go_on(context, state, fine)
-
-
-def _classes_again(context: SearchContext, state: SearchState) -> None:
-    last = len(state.accepted) - 1
-    for k, accepted in enumerate(state.accepted):
-        if k < last and accepted.rivals or any(np.isinf(rival.criterion) for rival in accepted.rivals):
-            context.progress.stage(f"judging rivals of {state.accepted[k].attempt.name[0]} again")
-            _class_again(context, state, k)
 
 
 def _lost(context: SearchContext, state: SearchState, fit: Refit) -> bool:
@@ -58,36 +60,43 @@ def _lost(context: SearchContext, state: SearchState, fit: Refit) -> bool:
 
 def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
     accepted, noise_model = state.accepted[k], noise_model_of(context, state.fit)
-    own = accepted.attempt
+    own, there = accepted.attempt, {one.attempt.name for one in state.accepted}
     here = _worth(context, state.fit, noise_model) + own.penalty
     # The finding itself, in the place that it has now.
     members: list[Attempt] = [dataclasses.replace(own, fit=state.fit, criterion=here)]
-    for rival in accepted.rivals:
-        fit = _beside(context, state, rival, k, noise_model)
-        if fit is None:
+    for at, rival in enumerate(accepted.compared):
+        far = at >= len(accepted.rivals)
+        fit = None if rival.name in there else _beside(context, state, rival, k, noise_model, only_near=far)
+        if fit is not None:
+            worth = _worth(context, fit, noise_model) + rival.penalty
+            members.append(dataclasses.replace(rival, fit=fit, criterion=worth))
+        elif not far:
             state.rejected.append(Rejected.of(rival.name, rival.delta_bic, NOT_SIMULATED))
-            continue
-        members.append(dataclasses.replace(rival, fit=fit, criterion=_worth(context, fit, noise_model) + rival.penalty))
     best = min(members, key=lambda member: member.criterion)
-    if here - best.criterion < alike(best, members[0]):
+    if here - best.criterion < alike(best, members[0]) or _lost(context, state, best.fit):
         best = members[0]
-    rivals = []
+    rivals, others = [], []
     for member in members:
+        behind = member.criterion - best.criterion
         if member is best:
             continue
-        behind = member.criterion - best.criterion
         if behind < alike(best, member) and not needless(member, best):
             rivals.append(dataclasses.replace(member, criterion=own.criterion + behind))
             continue
         why = f"explained better by {' at '.join(best.name)} once the others are in the model (by {behind:.0f})"
+        state.rejected = [one for one in state.rejected if (one.effect, one.location) != member.name]
         state.rejected.append(Rejected.of(member.name, member.delta_bic, Refusal(Reason.EXPLAINED_BETTER, why)))
         state.tried[member.name] = member.fit
-    if best is members[0]:
-        state.accepted[k] = dataclasses.replace(accepted, rivals=tuple(rivals))
-        return
+        others += [member] if behind < settings.MAX_CRITERION_GAP else []
+    names = {best.name, *(rival.name for rival in rivals)}
+    state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
+    move = accepted.move if best is members[0] else Move.IN_ITS_PLACE
     taken = dataclasses.replace(best, fit=own.fit, criterion=own.criterion)
-    state.accepted[k] = dataclasses.replace(accepted, attempt=taken, rivals=tuple(rivals), move=Move.IN_ITS_PLACE)
-    _go_on(context, state, best.fit)
+    state.accepted[k] = dataclasses.replace(
+        accepted, attempt=taken, rivals=tuple(rivals[:MOST_COMPARED]), others=tuple(others[:MOST_COMPARED]), move=move
+    )
+    if best is not members[0]:
+        _go_on(context, state, best.fit)
 
 
 def _go_on(context: SearchContext, state: SearchState, fit: Refit) -> None:
@@ -98,19 +107,23 @@ def _go_on(context: SearchContext, state: SearchState, fit: Refit) -> None:
 
 
 def _beside(
-    context: SearchContext, state: SearchState, rival: Attempt, k: int, noise_model: NoiseModel
+    context: SearchContext, state: SearchState, rival: Attempt, k: int, noise_model: NoiseModel, *, only_near: bool
 ) -> Refit | None:
     """A rival in the place of the k-th term, refitted from M, D, K of the model with all findings and from its own:
-    laws differ in the stiffness that they take upon themselves."""
+    laws differ in the stiffness that they take upon themselves. `only_near`: None where it remains far behind."""
     term = next(t for t in rival.fit.candidate.terms if (t.effect.id, t.place.name) == rival.name)
     terms = tuple(term if j == k else t for j, t in enumerate(state.fit.candidate.terms))
-    options = {"held": context.held, "max_steps": STEPS, "tolerance": ROUGH}
+    most, held = np.inf, context.held
+    if only_near:
+        here = refit(context.simulator, state.fit.candidate, context.data, noise_model, held=held, max_steps=0)
+        most = here.cost * np.exp(settings.MAX_CRITERION_GAP / here.count)
+    options = {"held": held, "max_steps": STEPS, "tolerance": ROUGH, "abandon": most}
     begun = (state.fit.candidate, rival.fit.candidate)
     fits = [refit(context.simulator, begin.with_terms(terms), context.data, noise_model, **options) for begin in begun]
     best = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
-    if best is None:
+    if best is None or best.cost > most:
         return None
-    again = refit(context.simulator, best.candidate, context.data, noise_model, held=context.held, max_steps=STEPS)
+    again = refit(context.simulator, best.candidate, context.data, noise_model, held=held, max_steps=STEPS)
     return best if again is None else again
 
 

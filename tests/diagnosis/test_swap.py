@@ -1,0 +1,92 @@
+"""An earlier finding compared once more with what was refitted beside it, in the model with later findings."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import scipy.integrate
+from independent import random_steps
+
+import jaxgray
+from jaxgray.diagnosis.estimation.context import SearchContext, noise_model_of, stage_of_candidate
+from jaxgray.diagnosis.estimation.gauss_newton import refit
+from jaxgray.diagnosis.estimation.multistart import Attempt
+from jaxgray.diagnosis.findings import Move, Reason
+from jaxgray.diagnosis.model.baseline import baseline_of
+from jaxgray.diagnosis.model.candidate import Data
+from jaxgray.diagnosis.model.simulator import Simulator, Steps
+from jaxgray.diagnosis.noise.whitening import white_noise_model
+from jaxgray.diagnosis.search.state import Accepted, SearchState
+from jaxgray.diagnosis.search.swap import swap
+from jaxgray.mechanics.effects import by_id
+from jaxgray.mechanics.effects.base import Place, Term
+from jaxgray.numerics.progress import Silent
+
+M, D, K, H, SAMPLES, PLACE = 1.0, 0.6, 40.0, 0.05, 600, Place("y1", 0)
+CUBIC, STOP, DRAG = (by_id(name) for name in ("cubic_stiffness", "end_stop", "quadratic_drag"))
+
+
+def record_of(seed):
+    """A spring-mass system with a cubic spring and drag, which no simulation of jaxgray's own makes."""
+    rng, x, q = np.random.default_rng(seed), np.zeros(2), []
+    u = 40.0 * random_steps(rng, SAMPLES, 1, H)
+    for w in u[:, 0]:
+        q.append(x[0])
+        rate = lambda t, x, w=w: (x[1], (w - D * x[1] - K * x[0] - 25.0 * x[0] ** 3 - 0.4 * x[1] * abs(x[1])) / M)  # noqa: E731
+        x = scipy.integrate.solve_ivp(rate, (0.0, H), x, rtol=1e-8, atol=1e-10).y[:, -1]
+    y = np.array(q)[:, None]
+    return jaxgray.Record(u, y + 0.01 * np.std(y) * rng.standard_normal(y.shape), H)
+
+
+@pytest.fixture(scope="module")
+def searched():
+    """Context, and a state with an end stop and drag, the cubic spring refitted beside the former alone."""
+    record, held = record_of(1), record_of(2)
+    names = {"input_names": record.input_names, "output_names": record.output_names}
+    model = jaxgray.MechanicalModel(np.array([[M]]), np.array([[2 * D]]), np.array([[1.5 * K]]), **names)
+    baseline = baseline_of([record], None, model)
+    setup = dataclasses.replace(baseline.setup, held=np.zeros(len(baseline.start.entries), bool))
+    simulator, data = Simulator(setup, (CUBIC, STOP, DRAG), steps=Steps(4)), [Data.of(record)]
+    options = (CUBIC, STOP, DRAG), (record.input_names, record.output_names), setup.held, None, True
+    context = SearchContext(simulator, data, [Data.of(held)], *options, np.random.default_rng(0), Silent())
+    start = stage_of_candidate(context, baseline.start)
+    white = white_noise_model(start.e, data[0].kept, start.system)
+
+    def attempt(effect, *terms):
+        fit = refit(simulator, baseline.start.with_terms(terms), data, white, max_steps=30)
+        shape = SimpleNamespace(effect=effect, place=PLACE, free=sum(p.counts for p in effect.parameters), scales=None)
+        score = SimpleNamespace(shape=shape)
+        return Attempt(score, fit, noise_model_of(context, fit), 0.0, 0.0, 100.0)
+
+    stop, cubic, drag = (Term(e, PLACE, np.array(v)) for e, v in ((STOP, [30.0, 0.3]), (CUBIC, [10.0]), (DRAG, [0.1])))
+    first, other, both = attempt(STOP, stop), attempt(CUBIC, cubic), attempt(DRAG, stop, drag)
+    runs = []
+    accepted = [Accepted(first, (), None, runs, others=(other,)), Accepted(both, (), None, runs)]
+    return context, accepted, start, both.fit
+
+
+def test_what_explains_more_beside_later_findings_takes_the_place(searched):
+    context, accepted, start, fit = searched
+    state = SearchState(start, stage_of_candidate(context, fit.candidate), fit, list(accepted))
+    before = np.std(fit.residual[0])
+    swap(context, state)
+    assert [one.attempt.name[0] for one in state.accepted] == ["cubic_stiffness", "quadratic_drag"]
+    assert state.accepted[0].move is Move.IN_ITS_PLACE
+    values = [float(term.values[0]) for term in state.fit.candidate.terms]
+    assert values == pytest.approx([25.0, 0.4], rel=0.1) and np.std(state.fit.residual[0]) < before
+    (refused,) = state.rejected
+    assert (refused.effect, refused.reason) == ("end_stop", Reason.EXPLAINED_BETTER)
+
+
+def test_what_explains_less_beside_later_findings_does_not(searched):
+    context, (first, last), start, _ = searched
+    (cubic,) = first.others
+    drag = last.attempt.fit.candidate.terms[-1]
+    begin = cubic.fit.candidate.with_terms((*cubic.fit.candidate.terms, drag))
+    fit = refit(context.simulator, begin, context.data, noise_model_of(context, cubic.fit), max_steps=30)
+    accepted = [Accepted(cubic, (), None, [], others=(first.attempt,)), last]
+    state = SearchState(start, stage_of_candidate(context, fit.candidate), fit, accepted)
+    swap(context, state)
+    assert [one.attempt.name[0] for one in state.accepted] == ["cubic_stiffness", "quadratic_drag"]
+    assert state.fit is fit and not state.accepted[0].rivals
