@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...mechanics.effects.base import AbstractEffect
+from ...mechanics.effects.base import AbstractEffect, Term
 from ...mechanics.runs.simulate import initial_state
 from ...numerics.matrices.bounded import bounded
 from ...numerics.responses.filters import white_part
@@ -153,7 +153,9 @@ def _carried_over(context: SearchContext, start: Candidate, part: SearchState) -
     for k, accepted in enumerate(part.accepted):
         context.progress.unlimited.stage(f"refitting {accepted.attempt.name[0]} on the whole record")
         last = k == len(part.accepted) - 1
-        found = part.fit if last else accepted.attempt.fit
+        found, terms = accepted.attempt.fit, part.fit.candidate.terms[: k + 1]
+        if last or [_law(term) for term in found.candidate.terms] != [_law(term) for term in terms]:
+            found = part.fit
         terms = found.candidate.terms[: k + 1]
         fit = _refitted(context, Candidate(found.candidate.entries, start.x0, terms), first)
         if fit is None:
@@ -164,6 +166,10 @@ def _carried_over(context: SearchContext, start: Candidate, part: SearchState) -
         whole.fit, whole.runs = fit, runs
     whole.stage = stage_of_candidate(context, whole.fit.candidate)
     return whole
+
+
+def _law(term: Term) -> tuple[str, str]:
+    return term.effect.id, term.place.name
 
 
 def _refitted(context: SearchContext, candidate: Candidate, first) -> Refit | None:

@@ -91,9 +91,19 @@ def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
     names = {best.name, *(rival.name for rival in rivals)}
     state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
     move = accepted.move if best is members[0] else Move.IN_ITS_PLACE
-    taken = dataclasses.replace(best, fit=own.fit, criterion=own.criterion)
+    # As it was in its own round, where that is known: its share and its gain are of this.
+    begun = (one.fit for one in accepted.compared if one.name == best.name)
+    first = next((fit for fit in begun if len(fit.candidate.terms) == len(own.fit.candidate.terms)), own.fit)
+    runs = (
+        accepted.runs if first is own.fit else [held_out_run(context, first.candidate, d) for d in context.validation]
+    )
     state.accepted[k] = dataclasses.replace(
-        accepted, attempt=taken, rivals=tuple(rivals[:MOST_COMPARED]), others=tuple(others[:MOST_COMPARED]), move=move
+        accepted,
+        attempt=dataclasses.replace(best, fit=first, criterion=own.criterion),
+        rivals=tuple(rivals[:MOST_COMPARED]),
+        others=tuple(others[:MOST_COMPARED]),
+        runs=runs,
+        move=move,
     )
     if best is not members[0]:
         _go_on(context, state, best.fit)
