@@ -233,7 +233,7 @@ def _accepted(
             # What was refused for its error alone, and explains as much or more, may be it all the same.
             names = {rival.name for rival in rivals}
             state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names] + refused
-            others = (*ahead, *others)[:MOST_COMPARED]
+            others = (*ahead, *_becoming(state, attempt), *others)[:MOST_COMPARED]
             _take(context, state, Accepted(attempt, rivals, gain, runs, move, others))
             return True
         state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
@@ -301,6 +301,19 @@ def _class_of(
             continue
         refused.append(Rejected.of(other.name, other.delta_bic, why))
     return tuple(rivals[:MOST_COMPARED]), tuple(near[:MOST_COMPARED]), refused
+
+
+def _becoming(state: SearchState, attempt: Attempt) -> list[Attempt]:
+    """What an attempt may turn out to be once other laws are there, beginning where the score test has it."""
+    found, term = [], attempt.fit.candidate.terms[-1]
+    known = state.screening.best_by_place()
+    for name in ((law, term.place.name) for law in term.effect.becomes):
+        if name in known:
+            one = known[name].shape.term(known[name].weights)
+            candidate = attempt.fit.candidate.with_terms((*attempt.fit.candidate.terms[:-1], one))
+            fit = dataclasses.replace(attempt.fit, candidate=candidate)
+            found.append(dataclasses.replace(attempt, score=known[name], fit=fit))
+    return found
 
 
 def _may_swap(context: SearchContext, attempt: Attempt, other: Attempt) -> bool:

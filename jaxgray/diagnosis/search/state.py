@@ -14,14 +14,15 @@ from ..model.free_run import FreeRun, free_run
 from ..screening.linearization import Stage
 from ..screening.score_test import Screening
 
-MOST_COMPARED = 3
+MOST_COMPARED = 4
 """Laws that share a class with a finding, and others that are compared with it again, at most."""
 
 
 @dataclass(frozen=True)
 class Accepted:
     """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs;
-    `move`: how it came in; `others`: what was refitted with it and explained less, though not far less."""
+    `move`: how it came in; `others`: what was refitted with it and explained less, though not far less, or
+    had no sure gain, and what it may turn out to be."""
 
     attempt: Attempt
     rivals: tuple[Attempt, ...]

@@ -12,27 +12,30 @@ from ..estimation.context import SearchContext, noise_model_of, stage_of_candida
 from ..estimation.continuation import ROUGH, in_short_steps
 from ..estimation.element_sums import at_fewer_everywhere
 from ..estimation.gauss_newton import Refit, refit
-from ..estimation.multistart import Attempt, moving
-from ..estimation.significance import evidence
+from ..estimation.multistart import Attempt, moving, unresolved
+from ..estimation.significance import evidence, significance
 from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
 from ..model.free_run import overall
+from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel
 from .confusable import alike, needless
 from .state import MOST_COMPARED, SearchState, held_out_run
 
-STEPS = 10
+STEPS = 20
 """Of each refit of a rival."""
 
 
 def swap(context: SearchContext, state: SearchState) -> None:
     """Refit every rival of an earlier finding, and what was refitted with it and explained less, in its place in the
     model with all findings. What is far ahead takes the place; what is as good is of its class. The last finding's were
-    refitted there, unless it took in a law that it contains."""
-    last = len(state.accepted) - 1
+    refitted there, unless it took in a law that it contains, or another one took an earlier place."""
+    last, swapped = len(state.accepted) - 1, False
     for k, accepted in enumerate(state.accepted):
-        if k < last and accepted.compared or any(np.isinf(rival.criterion) for rival in accepted.rivals):
+        new = any(np.isinf(rival.criterion) for rival in accepted.rivals)
+        if new or (accepted.compared and (k < last or swapped)):
             context.progress.stage(f"judging rivals of {accepted.attempt.name[0]} again")
             _class_again(context, state, k)
+            swapped |= state.accepted[k].attempt.name != accepted.attempt.name
 
 
 def conclude(context: SearchContext, state: SearchState) -> None:
@@ -72,41 +75,60 @@ def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
             members.append(dataclasses.replace(rival, fit=fit, criterion=worth))
         elif not far:
             state.rejected.append(Rejected.of(rival.name, rival.delta_bic, NOT_SIMULATED))
-    best = min(members, key=lambda member: member.criterion)
-    if here - best.criterion < alike(best, members[0]) or _lost(context, state, best.fit):
-        best = members[0]
+    own_place, best = members[0], min(members, key=lambda member: member.criterion)
+    if here - best.criterion < alike(best, own_place) or _lost(context, state, best.fit):
+        best = own_place
+    gives_way = best is own_place and not _sound(context, own_place, k)
+    if gives_way:
+        # What no longer has a size, beside what is as good and has one.
+        near = (m for m in members[1:] if m.criterion - here < alike(m, own_place) and _sound(context, m, k))
+        best = min(near, key=lambda member: member.criterion, default=own_place)
     rivals, others = [], []
     for member in members:
         behind = member.criterion - best.criterion
         if member is best:
             continue
-        if behind < alike(best, member) and not needless(member, best):
+        unsure = gives_way and member is own_place
+        if behind < alike(best, member) and not needless(member, best) and not unsure:
             rivals.append(dataclasses.replace(member, criterion=own.criterion + behind))
             continue
-        why = f"explained better by {' at '.join(best.name)} once the others are in the model (by {behind:.0f})"
+        words = f"explained better by {' at '.join(best.name)} once the others are in the model (by {behind:.0f})"
+        why = Refusal(Reason.EXPLAINED_BETTER, words)
+        if unsure:
+            why = Refusal(Reason.UNCERTAIN, "of no sure size once the others are in the model")
         state.rejected = [one for one in state.rejected if (one.effect, one.location) != member.name]
-        state.rejected.append(Rejected.of(member.name, member.delta_bic, Refusal(Reason.EXPLAINED_BETTER, why)))
+        state.rejected.append(Rejected.of(member.name, member.delta_bic, why))
         state.tried[member.name] = member.fit
         others += [member] if behind < settings.MAX_CRITERION_GAP else []
     names = {best.name, *(rival.name for rival in rivals)}
     state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
-    move = accepted.move if best is members[0] else Move.IN_ITS_PLACE
-    # As it was in its own round, where that is known: its share and its gain are of this.
-    begun = (one.fit for one in accepted.compared if one.name == best.name)
-    first = next((fit for fit in begun if len(fit.candidate.terms) == len(own.fit.candidate.terms)), own.fit)
-    runs = (
-        accepted.runs if first is own.fit else [held_out_run(context, first.candidate, d) for d in context.validation]
-    )
-    state.accepted[k] = dataclasses.replace(
-        accepted,
-        attempt=dataclasses.replace(best, fit=first, criterion=own.criterion),
-        rivals=tuple(rivals[:MOST_COMPARED]),
-        others=tuple(others[:MOST_COMPARED]),
-        runs=runs,
-        move=move,
-    )
-    if best is not members[0]:
+    move = accepted.move if best is own_place else Move.IN_ITS_PLACE
+    first = own.fit if best is own_place else _in_its_round(context, own.fit, best, k)
+    runs = accepted.runs
+    if first is not own.fit:
+        runs = [held_out_run(context, first.candidate, d) for d in context.validation]
+    classes = {"rivals": tuple(rivals[:MOST_COMPARED]), "others": tuple(others[:MOST_COMPARED])}
+    attempt = dataclasses.replace(best, fit=first, criterion=own.criterion)
+    state.accepted[k] = dataclasses.replace(accepted, attempt=attempt, runs=runs, move=move, **classes)
+    if best is not own_place:
         _go_on(context, state, best.fit)
+
+
+def _in_its_round(context: SearchContext, before: Refit, best: Attempt, k: int) -> Refit:
+    """A law refitted in the place of another one as it was in its round, which its share and its gain are of."""
+    terms = before.candidate.terms
+    if len(terms) != k + 1:
+        return before
+    begin = before.candidate.with_terms((*terms[:-1], best.fit.candidate.terms[k]))
+    noise_model = noise_model_of(context, before)
+    fit = refit(context.simulator, begin, context.data, noise_model, held=context.held, max_steps=STEPS)
+    return before if fit is None else fit
+
+
+def _sound(context: SearchContext, member: Attempt, k: int) -> bool:
+    """Whether a law has a size in the place of the k-th term, and is no other law there."""
+    size = significance(member.fit, Layout(context.simulator.setup, member.fit.candidate), k)
+    return size >= settings.MIN_STANDARD_ERRORS_IF_CLEAR and unresolved(member.fit, member.score) is None
 
 
 def _go_on(context: SearchContext, state: SearchState, fit: Refit) -> None:
@@ -127,9 +149,13 @@ def _beside(
     if only_near:
         here = refit(context.simulator, state.fit.candidate, context.data, noise_model, held=held, max_steps=0)
         most = here.cost * np.exp(settings.MAX_CRITERION_GAP / here.count)
-    options = {"held": held, "max_steps": STEPS, "tolerance": ROUGH, "abandon": most}
-    begun = (state.fit.candidate, rival.fit.candidate)
-    fits = [refit(context.simulator, begin.with_terms(terms), context.data, noise_model, **options) for begin in begun]
+    options = {"held": held, "max_steps": STEPS, "tolerance": ROUGH}
+    # From its own M, D, K the way may be slow, but it is no wrong one.
+    begun = (state.fit.candidate, most), (rival.fit.candidate, np.inf)
+    fits = [
+        refit(context.simulator, begin.with_terms(terms), context.data, noise_model, abandon=abandon, **options)
+        for begin, abandon in begun
+    ]
     best = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
     if best is None or best.cost > most:
         return None
