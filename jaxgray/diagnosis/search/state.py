@@ -58,7 +58,7 @@ class Provisional:
 class SearchState:
     """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
     tried, the last look, what is no longer looked for, how many candidates were judged on held-out data since the last
-    was surely accepted, and what the last findings owe."""
+    was surely accepted, what the last findings owe, and the refit in which all were compared last."""
 
     start: Stage
     stage: Stage
@@ -74,6 +74,7 @@ class SearchState:
     runs: list[FreeRun] = field(default_factory=list)
     trials: int = 0
     provisional: Provisional | None = None
+    compared: Refit | None = None
 
     @property
     def sure(self) -> Stage:

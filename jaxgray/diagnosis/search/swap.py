@@ -29,6 +29,8 @@ def swap(context: SearchContext, state: SearchState) -> None:
     """Refit every rival of an earlier finding, and what was refitted with it and explained less, in its place in the
     model with all findings. What is far ahead takes the place; what is as good is of its class. The last finding's were
     refitted there, unless it took in a law that it contains, or another one took an earlier place."""
+    if state.fit is None or state.fit is state.compared:
+        return
     last, swapped = len(state.accepted) - 1, False
     for k, accepted in enumerate(state.accepted):
         new = any(np.isinf(rival.criterion) for rival in accepted.rivals)
@@ -36,6 +38,7 @@ def swap(context: SearchContext, state: SearchState) -> None:
             context.progress.stage(f"judging rivals of {accepted.attempt.name[0]} again")
             _class_again(context, state, k)
             swapped |= state.accepted[k].attempt.name != accepted.attempt.name
+    state.compared = state.fit
 
 
 def conclude(context: SearchContext, state: SearchState) -> None:
