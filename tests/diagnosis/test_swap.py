@@ -17,7 +17,8 @@ from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.model.simulator import Simulator, Steps
 from jaxgray.diagnosis.noise.whitening import white_noise_model
-from jaxgray.diagnosis.search.state import Accepted, SearchState
+from jaxgray.diagnosis.search import swap as module
+from jaxgray.diagnosis.search.state import Accepted, SearchState, held_out_run
 from jaxgray.diagnosis.search.swap import swap
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
@@ -66,27 +67,78 @@ def searched():
     return context, accepted, start, both.fit
 
 
+def state_of(context, start, fit, accepted):
+    runs = [held_out_run(context, fit.candidate, data) for data in context.validation]
+    return SearchState(start, stage_of_candidate(context, fit.candidate), fit, list(accepted), runs=runs)
+
+
+def names(state):
+    return [one.attempt.name[0] for one in state.accepted]
+
+
 def test_what_explains_more_beside_later_findings_takes_the_place(searched):
     context, accepted, start, fit = searched
-    state = SearchState(start, stage_of_candidate(context, fit.candidate), fit, list(accepted))
-    before = np.std(fit.residual[0])
+    state = state_of(context, start, fit, accepted)
+    before, runs = np.std(fit.residual[0]), state.runs
     swap(context, state)
-    assert [one.attempt.name[0] for one in state.accepted] == ["cubic_stiffness", "quadratic_drag"]
-    assert state.accepted[0].move is Move.IN_ITS_PLACE
+    assert names(state) == ["cubic_stiffness", "quadratic_drag"]
+    first, last = state.accepted
+    assert first.move is Move.IN_ITS_PLACE
     values = [float(term.values[0]) for term in state.fit.candidate.terms]
     assert values == pytest.approx([25.0, 0.4], rel=0.1) and np.std(state.fit.residual[0]) < before
+    assert state.runs[0].rmse < runs[0].rmse and last.runs is state.runs
+    # Its share is that of its own round, alone; the last one's that of the whole model.
+    assert [term.effect.id for term in first.attempt.fit.candidate.terms] == ["cubic_stiffness"]
+    assert first.runs[0].rmse > state.runs[0].rmse and last.attempt.fit is state.fit
     (refused,) = state.rejected
     assert (refused.effect, refused.reason) == ("end_stop", Reason.EXPLAINED_BETTER)
+    # Compared once, it is not again before the model changes.
+    fit = state.fit
+    swap(context, state)
+    assert state.fit is fit
 
 
-def test_what_explains_less_beside_later_findings_does_not(searched):
+@pytest.fixture(scope="module")
+def right(searched):
+    """Start, refit and findings with the cubic spring first, the end stop refitted beside it."""
     context, (first, last), start, _ = searched
     (cubic,) = first.others
     drag = last.attempt.fit.candidate.terms[-1]
     begin = cubic.fit.candidate.with_terms((*cubic.fit.candidate.terms, drag))
     fit = refit(context.simulator, begin, context.data, noise_model_of(context, cubic.fit), max_steps=30)
-    accepted = [Accepted(cubic, (), None, [], others=(first.attempt,)), last]
-    state = SearchState(start, stage_of_candidate(context, fit.candidate), fit, accepted)
-    swap(context, state)
-    assert [one.attempt.name[0] for one in state.accepted] == ["cubic_stiffness", "quadratic_drag"]
+    return start, fit, [Accepted(cubic, (), None, [], others=(first.attempt,)), last]
+
+
+@pytest.mark.parametrize("as_rival", [False, True])
+def test_what_explains_less_beside_later_findings_does_not(searched, right, as_rival):
+    start, fit, (cubic, last) = right
+    if as_rival:
+        cubic = dataclasses.replace(cubic, rivals=cubic.others, others=())
+    state = state_of(searched[0], start, fit, [cubic, last])
+    swap(searched[0], state)
+    assert names(state) == ["cubic_stiffness", "quadratic_drag"]
     assert state.fit is fit and not state.accepted[0].rivals
+    # Of what was not of its class the reason stands already.
+    said = [("end_stop", Reason.EXPLAINED_BETTER)] if as_rival else []
+    assert [(one.effect, one.reason) for one in state.rejected] == said
+
+
+@pytest.mark.parametrize("sure", [False, True])
+def test_what_has_no_sure_size_any_more_gives_way_to_what_is_as_good(monkeypatch, searched, right, sure):
+    start, fit, (cubic, last) = right
+    accepted = [dataclasses.replace(cubic, rivals=cubic.others, others=()), last]
+    monkeypatch.setattr(module, "alike", lambda best, other: 1e9)
+    monkeypatch.setattr(module, "_sound", lambda context, member, k: sure or member.name[0] == "end_stop")
+    monkeypatch.setattr(module, "overall", lambda new, old: 1.0)
+    state = state_of(searched[0], start, fit, accepted)
+    swap(searched[0], state)
+    assert names(state)[0] == ("cubic_stiffness" if sure else "end_stop")
+    assert [one.reason for one in state.rejected] == ([] if sure else [Reason.UNCERTAIN])
+
+
+def test_what_was_accepted_elsewhere_is_no_rival(searched, right):
+    start, fit, (cubic, last) = right
+    there = dataclasses.replace(cubic, rivals=(last.attempt, last.attempt), others=())
+    state = state_of(searched[0], start, fit, [there, last])
+    swap(searched[0], state)
+    assert not state.rejected and not state.accepted[0].rivals and state.fit is fit

@@ -28,7 +28,8 @@ def rejected_of(context: SearchContext, state: SearchState, record: Record) -> t
     for one in state.rejected:
         fit = state.tried.get((one.effect, one.location))
         if fit is not None:
-            index = len(fit.candidate.terms) - 1
+            names = [(term.effect.id, term.place.name) for term in fit.candidate.terms]
+            index = names.index((one.effect, one.location))
             estimates = estimates_of(
                 fit.candidate.terms[index], term_errors(fit, setup, index), record, per_mass=setup.per_mass
             )

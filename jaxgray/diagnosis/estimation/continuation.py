@@ -117,7 +117,7 @@ def with_sharp_edge(context: SearchContext, fit: Refit) -> Refit:
     steps, sharp = context.simulator.steps, _sharp(context, fit.candidate)
     if sharp is fit.candidate:
         return fit
-    context.simulator.steps = dataclasses.replace(steps, count=max(steps.count, EDGE_STEPS))
+    context.simulator.steps = Steps(max(steps.count, EDGE_STEPS))
     trial = at_the_same_steps(context, dataclasses.replace(fit, candidate=sharp))
     if noise_model_of(context, trial).cost < noise_model_of(context, fit).cost - settings.MIN_DELTA_BIC:
         return trial
@@ -144,40 +144,39 @@ def in_short_steps(context: SearchContext, fit: Refit) -> tuple[Refit, float]:
     error = integration_error(context, fit)
     if error**2 * rows < 1.0 or steps.halved.cost > MOST_STEPS:
         return fit, error
-    context.simulator.steps = min(_short_enough(context, fit), key=lambda steps: steps.cost)
+    context.simulator.steps = min(_short_enough(context, fit), key=lambda one: (one[1], one[0].cost))[0]
     return at_the_same_steps(context, fit), error
 
 
-def _short_enough(context: SearchContext, fit: Refit) -> list[Steps]:
+def _short_enough(context: SearchContext, fit: Refit) -> list[tuple[Steps, bool]]:
     """Steps whose error cannot be told from noise, plain ones and, where the error goes with their square, ones that
-    are extrapolated; neither longer than those that the simulator takes, nor more than `MOST_STEPS`."""
+    are extrapolated; neither longer than those that the simulator takes, nor more than `MOST_STEPS`; and whether their
+    error is still too large."""
     steps, tolerable = context.simulator.steps, 0.5 / np.sqrt(rows_of(context.data[0]))
-
-    def residual(steps):
-        return _residual(context.simulator.in_steps(steps), fit, context.data[0])
-
-    def change(finer, coarser):
-        return _relative(finer - coarser, fit)
 
     def enough(here, error, order):
         while error > tolerable and here.halved.cost <= MOST_STEPS:
             here, error = here.halved, error / 2**order
-        return here
+        return here, error > tolerable
 
     count = steps.count
-    coarse, middle, fine = (residual(Steps(k * count)) for k in (1, 2, 4))
-    first, second = change(middle, coarse), change(fine, middle)
+    made = [_residual(context.simulator.in_steps(Steps(k * count)), fit, context.data[0]) for k in (1, 2, 4)]
+    # Residuals are zero where nothing was measured, or where it says nothing.
+    coarse, middle, fine = np.where(np.all([one != 0 for one in made], axis=0), made, 0.0)
+    first, second = _relative(middle - coarse, fit), _relative(fine - middle, fit)
     if not first > SMOOTH * second:
         return [enough(Steps(count), first, 1)]
     # Extrapolated from 2 and 4 less from 1 and 2: the error of the latter, of which an eighth is left in the former.
-    left = change(fine + (fine - middle) / 3, middle + (middle - coarse) / 3)
+    left = _relative(fine + (fine - middle) / 3 - middle - (middle - coarse) / 3, fit)
     return [enough(Steps(count), first, 2), enough(Steps(max(count, 2), True), left * (8 if count > 1 else 1), 3)]
 
 
 def at_the_same_steps(context: SearchContext, fit: Refit) -> Refit:
     """A refit again, in the steps that the simulator takes by now."""
     noise_model = noise_model_of(context, fit)
-    candidate = fit.candidate if context.simulator.steps.count < EDGE_STEPS else _sharp(context, fit.candidate)
+    steps = context.simulator.steps
+    follows = steps.count >= EDGE_STEPS and not steps.extrapolated
+    candidate = _sharp(context, fit.candidate) if follows else fit.candidate
     again = refit(context.simulator, candidate, context.data, noise_model, held=context.held, max_steps=10)
     return fit if again is None else settled(context, again, noise_model)
 

@@ -119,7 +119,7 @@ def dominated(behind: float) -> Refusal:
 
 def criterion_of(context: SearchContext, score: Score, fit: Refit) -> float:
     """BIC of a refit under the noise model that it was found under: N ln cost, and what its shape costs."""
-    return fit.count * np.log(max(fit.cost, 1e-300)) + _penalty(context, score)
+    return fit.count * np.log(max(fit.cost, 1e-300)) + shape_penalty(context, score)
 
 
 def _criterion_under(context: SearchContext, score: Score, fit: Refit, noise_model: NoiseModel) -> float:
@@ -202,7 +202,7 @@ def _likeliest(context: SearchContext, ends: list[tuple[Score, Refit]]) -> tuple
     """The best of several refits, each under a noise model of its own."""
     if len(ends) == 1:
         return ends[0]
-    return min(ends, key=lambda end: noise_model_of(context, end[1]).cost + _penalty(context, end[0]))
+    return min(ends, key=lambda end: noise_model_of(context, end[1]).cost + shape_penalty(context, end[0]))
 
 
 def _from_wider(
@@ -279,7 +279,7 @@ def _beyond(context: SearchContext, base: _Base, scores: list[Score]) -> tuple[S
         term = Term(shape.effect, shape.place, shape.effect.widened(np.array(shape.values, dtype=float), known))
         begin = simple.candidate.with_terms((*simple.candidate.terms[:-1], term))
         with np.errstate(over="ignore"):
-            abandon = np.exp((most - _penalty(context, score)) / simple.count)
+            abandon = np.exp((most - shape_penalty(context, score)) / simple.count)
         options = {"held": context.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
         fit = refit(context.simulator, begin, context.data, noise_model, **options)
         if fit is not None:
@@ -302,7 +302,9 @@ def _followed(
     shorter steps mend is not a law's merit."""
     if not fits:
         return fits
-    costs = {name: noise_model_of(context, fit).cost + _penalty(context, score) for name, (score, fit) in fits.items()}
+    costs = {
+        name: noise_model_of(context, fit).cost + shape_penalty(context, score) for name, (score, fit) in fits.items()
+    }
     best, steps = min(costs, key=costs.get), context.simulator.steps
     sharp = sharpened(context, fits[best][1])
     if sharp is fits[best][1] and context.simulator.steps == steps:
@@ -339,7 +341,7 @@ def by_contact(context: SearchContext, attempt: Attempt, stage: Stage) -> Attemp
     return dataclasses.replace(attempt, fit=fit, score=dataclasses.replace(attempt.score, shape=shape))
 
 
-def _penalty(context: SearchContext, score: Score) -> float:
+def shape_penalty(context: SearchContext, score: Score) -> float:
     return score.shape.free * np.log(rows_of(context.data[0])) + 2 * np.log(score.shape.tried)
 
 
@@ -348,7 +350,9 @@ def first_fit(context: SearchContext, stage: Stage, score: Score, noise_model: N
     fit = None
     nothing = float(np.sum(weighted(noise_model, stage.e[:, :, None], context.data[0].kept) ** 2))
     with np.errstate(over="ignore"):
-        abandon = np.exp((best + 2 * settings.MAX_CRITERION_GAP - _penalty(context, score)) / rows_of(context.data[0]))
+        abandon = np.exp(
+            (best + 2 * settings.MAX_CRITERION_GAP - shape_penalty(context, score)) / rows_of(context.data[0])
+        )
     for term in softened(score.shape.term(score.weights), score.shape.scales):
         if fit is not None:
             if fit.count * np.log(max(fit.cost, 1e-300)) > best + 10 * settings.MAX_CRITERION_GAP:
@@ -440,14 +444,14 @@ def compared(context: SearchContext, stage: Stage, attempts: list[Attempt]) -> l
     if not attempts:
         return []
 
-    own = [a.noise_model.cost + _penalty(context, a.score) for a in attempts]
+    own = [a.noise_model.cost + shape_penalty(context, a.score) for a in attempts]
     noise_model = attempts[int(np.argmin(own))].noise_model
     data = context.data[0]
     base, rows = evidence(stage.e, stage.J, data, noise_model)
     result = []
     for a in attempts:
         cost, _ = evidence(*moving(context, a.fit), data, noise_model)
-        penalty = _penalty(context, a.score)
+        penalty = shape_penalty(context, a.score)
         criterion = rows * np.log(max(cost, 1e-300)) + penalty
         delta = rows * np.log(base) - criterion
         result.append(dataclasses.replace(a, criterion=float(criterion), penalty=penalty, delta_bic=float(delta)))

@@ -285,9 +285,9 @@ class Simulator:
             made = _run(plant, x0, *inputs, slots, data.traced_sampling_time, table, data.scheduling, count)
             return jax.device_get(made)
 
-        return self._in_short_steps(run, slots)
+        return self._extrapolated(run, slots)
 
-    def _in_short_steps(self, run, slots):
+    def _extrapolated(self, run, slots):
         """What a function of the steps per sample gives in this simulator's steps."""
         # As arrays, so that one program serves any number.
         made = run(np.asarray(self.steps.count))
@@ -412,7 +412,7 @@ class Simulator:
             along = Directions(*rows, *changes)
             along = jax.tree.map(lambda X: _pad(X, count), along)
             given, T = (plant, x0, *inputs, slots, along), data.traced_sampling_time
-            return self._in_short_steps(
+            return self._extrapolated(
                 lambda steps: jax.device_get(_run_and_derivative(*given, T, table, data.scheduling, steps)), slots
             )
 

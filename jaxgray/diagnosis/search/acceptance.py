@@ -6,7 +6,6 @@ import numpy as np
 
 from ...identification.validation.residuals import residual_test
 from ...mechanics.effects.sensor import SensorCrosstalk
-from ...numerics.matrices.bounded import bounded
 from ..acceptance import AbstractEvidence, negligible, unproven, unsound
 from ..estimation.context import SearchContext
 from ..estimation.multistart import Attempt, unresolved
@@ -16,7 +15,7 @@ from ..model.free_run import overall
 from ..model.held_out_gain import gain_of
 from ..model.parameter_vector import Layout
 from ..noise.floor import residual_rms
-from .state import SearchState, held_out_run, is_local, runs_seen
+from .state import SearchState, held_out_run, held_out_runs, is_local, runs_seen
 
 
 def floor_of(context: SearchContext, attempts: list[Attempt]) -> np.ndarray:
@@ -84,8 +83,7 @@ def tested(context: SearchContext, state: SearchState, attempt: Attempt, floor: 
     names = context.names[1]
     seen = runs_seen(context, here.e, attempt.fit.residual[0], state.start.e)
     if is_local(context, attempt.score.shape.effect) or not context.validation:
-        runs = [held_out_run(context, attempt.fit.candidate, d) for d in context.validation]
-        runs = runs if all(bounded(run.e) for run in runs) else state.runs
+        runs = held_out_runs(context, attempt.fit.candidate, state.runs)
         # What happened once need not show in every part of the record.
         options = {"held_out": False, "rng": context.rng, "once": bool(attempt.score.shape.effect.onset)}
         gain = gain_of(*seen, floor, names, **options)

@@ -11,7 +11,7 @@ from ...numerics.progress import BudgetSpent
 from .. import settings
 from ..acceptance import at_its_bound, unproven, unsound
 from ..estimation.context import SearchContext, stage_of_candidate
-from ..estimation.multistart import Attempt, compared, unresolved
+from ..estimation.multistart import Attempt, compared, shape_penalty, unresolved
 from ..estimation.significance import at_bound
 from ..findings import Move, Reason, Refusal, Rejected
 from ..model.candidate import Candidate, Data
@@ -233,7 +233,8 @@ def _accepted(
             # What was refused for its error alone, and explains as much or more, may be it all the same.
             names = {rival.name for rival in rivals}
             state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names] + refused
-            others = (*ahead, *_becoming(state, attempt), *others)[:MOST_COMPARED]
+            # Refits first: of several starts of one law the first counts.
+            others = (*ahead, *others, *_becoming(context, state, attempt))
             _take(context, state, Accepted(attempt, rivals, gain, runs, move, others))
             return True
         state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
@@ -253,7 +254,7 @@ def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> Non
     state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
     prune(context, state)
     if len(state.accepted) == len(names):
-        swap(context, state)
+        swap(dataclasses.replace(context, white=False), state)
     for_the_free_run(context, state)
 
 
@@ -303,7 +304,7 @@ def _class_of(
     return tuple(rivals[:MOST_COMPARED]), tuple(near[:MOST_COMPARED]), refused
 
 
-def _becoming(state: SearchState, attempt: Attempt) -> list[Attempt]:
+def _becoming(context: SearchContext, state: SearchState, attempt: Attempt) -> list[Attempt]:
     """What an attempt may turn out to be once other laws are there, beginning where the score test has it."""
     found, term = [], attempt.fit.candidate.terms[-1]
     known = state.screening.best_by_place()
@@ -311,8 +312,9 @@ def _becoming(state: SearchState, attempt: Attempt) -> list[Attempt]:
         if name in known:
             one = known[name].shape.term(known[name].weights)
             candidate = attempt.fit.candidate.with_terms((*attempt.fit.candidate.terms[:-1], one))
-            fit = dataclasses.replace(attempt.fit, candidate=candidate)
-            found.append(dataclasses.replace(attempt, score=known[name], fit=fit))
+            fit, score = dataclasses.replace(attempt.fit, candidate=candidate), known[name]
+            worth = {"penalty": shape_penalty(context, score), "delta_bic": score.delta_bic}
+            found.append(dataclasses.replace(attempt, score=score, fit=fit, **worth))
     return found
 
 

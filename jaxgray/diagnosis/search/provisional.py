@@ -18,7 +18,7 @@ from ..estimation.profile_scan import something_left
 from ..findings import Move
 from ..model.held_out_gain import gain_of
 from ..noise.whitening import white_noise_model
-from .state import Accepted, Provisional, SearchState, held_out_run, is_local, runs_seen
+from .state import Accepted, Provisional, SearchState, held_out_runs, is_local, runs_seen
 
 STEPS = 20
 """Of the refit for the free run."""
@@ -60,7 +60,7 @@ def accept_provisionally(
     else:
         before, old = state.accepted[-1].runs, state.accepted[-1].attempt.fit.residual[0]
     held_out = not is_local(context, attempt.score.shape.effect) and bool(context.validation)
-    runs = [held_out_run(context, free.fit.candidate, d) for d in context.validation] if held_out else before
+    runs = held_out_runs(context, free.fit.candidate, before)
     seen = runs_seen(context, old, free.fit.residual[0], state.start.e)
     pairs = (before, runs, state.baseline_runs) if held_out else seen
     gain = gain_of(*pairs, floor, context.names[1], held_out=held_out, rng=context.rng, seen=seen)

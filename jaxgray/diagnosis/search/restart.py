@@ -26,7 +26,7 @@ from ..model.candidate import Candidate
 from ..model.held_out_gain import gain_of
 from ..noise.floor import more_than_noise, residual_rms
 from ..noise.whitening import white_noise_model
-from .state import SearchState, held_out_run, runs_seen
+from .state import SearchState, held_out_runs, runs_seen
 
 STEPS = 40
 
@@ -86,8 +86,8 @@ def _keep(context: SearchContext, state: SearchState, fit: Refit | None) -> None
     )
     held_out, data = last.gain.held_out, context.data[0]
     runs = seen = runs_seen(context, old, fit.residual[0], state.start.e)
+    state.runs = held_out_runs(context, fit.candidate, state.runs)
     if held_out:
-        state.runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
         runs = before, state.runs, state.baseline_runs
     floor = residual_rms(fit.residual[0], data) if context.floor is None else context.floor
     gain = gain_of(*runs, floor, context.names[1], held_out=held_out, rng=context.rng, seen=seen)

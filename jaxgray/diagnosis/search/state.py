@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...mechanics.effects.base import AbstractEffect
+from ...numerics.matrices.bounded import bounded
 from ..estimation.context import SearchContext
 from ..estimation.gauss_newton import Refit
 from ..estimation.multistart import Attempt
@@ -74,7 +75,7 @@ class SearchState:
     runs: list[FreeRun] = field(default_factory=list)
     trials: int = 0
     provisional: Provisional | None = None
-    compared: Refit | None = None
+    compared_in: Refit | None = None
 
     @property
     def sure(self) -> Stage:
@@ -97,3 +98,9 @@ def held_out_run(context: SearchContext, candidate: Candidate, data: Data) -> Fr
     every record has that of these data."""
     terms = (term for term in candidate.terms if term.effect.own_phase or not is_local(context, term.effect))
     return free_run(context.simulator, candidate.with_terms(terms), data)
+
+
+def held_out_runs(context: SearchContext, candidate: Candidate, before: list[FreeRun]) -> list[FreeRun]:
+    """Free runs on all held-out data; those from before where one overflows."""
+    runs = [held_out_run(context, candidate, d) for d in context.validation]
+    return runs if all(bounded(run.e) for run in runs) else before

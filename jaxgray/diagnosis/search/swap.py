@@ -13,13 +13,13 @@ from ..estimation.continuation import ROUGH, in_short_steps
 from ..estimation.element_sums import at_fewer_everywhere
 from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import Attempt, moving, unresolved
-from ..estimation.significance import evidence, significance
+from ..estimation.significance import at_bound, evidence, significance
 from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
 from ..model.free_run import overall
 from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel
 from .confusable import alike, needless
-from .state import MOST_COMPARED, SearchState, held_out_run
+from .state import MOST_COMPARED, SearchState, held_out_run, held_out_runs, is_local
 
 STEPS = 20
 """Of each refit of a rival."""
@@ -29,16 +29,15 @@ def swap(context: SearchContext, state: SearchState) -> None:
     """Refit every rival of an earlier finding, and what was refitted with it and explained less, in its place in the
     model with all findings. What is far ahead takes the place; what is as good is of its class. The last finding's were
     refitted there, unless it took in a law that it contains, or another one took an earlier place."""
-    if state.fit is None or state.fit is state.compared:
+    if state.fit is None or state.fit is state.compared_in:
         return
     last, swapped = len(state.accepted) - 1, False
     for k, accepted in enumerate(state.accepted):
         new = any(np.isinf(rival.criterion) for rival in accepted.rivals)
         if new or (accepted.compared and (k < last or swapped)):
-            context.progress.stage(f"judging rivals of {accepted.attempt.name[0]} again")
             _class_again(context, state, k)
             swapped |= state.accepted[k].attempt.name != accepted.attempt.name
-    state.compared = state.fit
+    state.compared_in = state.fit
 
 
 def conclude(context: SearchContext, state: SearchState) -> None:
@@ -66,55 +65,76 @@ def _lost(context: SearchContext, state: SearchState, fit: Refit) -> bool:
 
 def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
     accepted, noise_model = state.accepted[k], noise_model_of(context, state.fit)
-    own, there = accepted.attempt, {one.attempt.name for one in state.accepted}
+    own = accepted.attempt
     here = _worth(context, state.fit, noise_model) + own.penalty
     # The finding itself, in the place that it has now.
-    members: list[Attempt] = [dataclasses.replace(own, fit=state.fit, criterion=here)]
-    for at, rival in enumerate(accepted.compared):
-        far = at >= len(accepted.rivals)
-        fit = None if rival.name in there else _beside(context, state, rival, k, noise_model, only_near=far)
+    own_place = dataclasses.replace(own, fit=state.fit, criterion=here)
+    members, known = [], [rival.name for rival in accepted.rivals]
+    for rival in _distinct(accepted.compared, {one.attempt.name for one in state.accepted}):
+        context.progress.stage(f"judging {rival.name[0]} in the place of {own.name[0]}")
+        fit = _beside(context, state, rival, k, noise_model, only_near=rival.name not in known)
         if fit is not None:
             worth = _worth(context, fit, noise_model) + rival.penalty
             members.append(dataclasses.replace(rival, fit=fit, criterion=worth))
-        elif not far:
+        elif rival.name in known:
             state.rejected.append(Rejected.of(rival.name, rival.delta_bic, NOT_SIMULATED))
-    own_place, best = members[0], min(members, key=lambda member: member.criterion)
-    if here - best.criterion < alike(best, own_place) or _lost(context, state, best.fit):
+    # What is as good keeps its place, unless its own size is no longer sure.
+    sure = _sound(context, own_place, k)
+    farthest = 1 + settings.MIN_RESIDUAL_SHARE if sure else 1 / settings.MUCH_NEARER
+    able = [member for member in members if _may_stand(context, state, member, k, farthest)]
+    best = min(able, key=lambda member: member.criterion, default=own_place)
+    if best is own_place or here - best.criterion < alike(best, own_place) * (1 if sure else -1):
         best = own_place
-    gives_way = best is own_place and not _sound(context, own_place, k)
-    if gives_way:
-        # What no longer has a size, beside what is as good and has one.
-        near = (m for m in members[1:] if m.criterion - here < alike(m, own_place) and _sound(context, m, k))
-        best = min(near, key=lambda member: member.criterion, default=own_place)
     rivals, others = [], []
-    for member in members:
+    for member in sorted((own_place, *members), key=lambda member: member.criterion):
         behind = member.criterion - best.criterion
         if member is best:
             continue
-        unsure = gives_way and member is own_place
-        if behind < alike(best, member) and not needless(member, best) and not unsure:
+        unsure = member is own_place and not sure
+        stands = member is own_place or member.name in known or any(one is member for one in able)
+        if abs(behind) < alike(best, member) and stands and not unsure and not needless(member, best):
             rivals.append(dataclasses.replace(member, criterion=own.criterion + behind))
             continue
         words = f"explained better by {' at '.join(best.name)} once the others are in the model (by {behind:.0f})"
         why = Refusal(Reason.EXPLAINED_BETTER, words)
         if unsure:
             why = Refusal(Reason.UNCERTAIN, "of no sure size once the others are in the model")
+        elif behind < 0:
+            words = "beside the others of no sure size, at a bound, or farther from held-out data"
+            why = Refusal(Reason.UNCERTAIN, words)
         state.rejected = [one for one in state.rejected if (one.effect, one.location) != member.name]
         state.rejected.append(Rejected.of(member.name, member.delta_bic, why))
         state.tried[member.name] = member.fit
         others += [member] if behind < settings.MAX_CRITERION_GAP else []
     names = {best.name, *(rival.name for rival in rivals)}
     state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
-    move = accepted.move if best is own_place else Move.IN_ITS_PLACE
-    first = own.fit if best is own_place else _in_its_round(context, own.fit, best, k)
-    runs = accepted.runs
-    if first is not own.fit:
-        runs = [held_out_run(context, first.candidate, d) for d in context.validation]
     classes = {"rivals": tuple(rivals[:MOST_COMPARED]), "others": tuple(others[:MOST_COMPARED])}
-    attempt = dataclasses.replace(best, fit=first, criterion=own.criterion)
-    state.accepted[k] = dataclasses.replace(accepted, attempt=attempt, runs=runs, move=move, **classes)
+    state.accepted[k] = dataclasses.replace(accepted, **classes)
     if best is not own_place:
+        in_its_round = _in_its_round(context, own.fit, best, k)
+        runs = held_out_runs(context, in_its_round.candidate, accepted.runs)
+        attempt = dataclasses.replace(best, fit=in_its_round, criterion=own.criterion)
+        changes = {"attempt": attempt, "runs": runs, "move": Move.IN_ITS_PLACE}
+        state.accepted[k] = dataclasses.replace(state.accepted[k], **changes)
         _go_on(context, state, best.fit)
+
+
+def _distinct(attempts: tuple[Attempt, ...], there: set[tuple[str, str]]) -> list[Attempt]:
+    """The first attempt of every name, without those that are there."""
+    return list({one.name: one for one in reversed(attempts) if one.name not in there}.values())[::-1]
+
+
+def _may_stand(context: SearchContext, state: SearchState, member: Attempt, k: int, farthest: float) -> bool:
+    """Whether a law holds in the place of the k-th term: it has a size, is at no bound and no other law there, is
+    judged on the same data, and leaves less than `farthest` times as much of those that are held out."""
+    own, given = state.accepted[k].attempt, context.simulator.setup.own
+    laws = own.score.shape.effect, member.score.shape.effect
+    if is_local(context, laws[0]) != is_local(context, laws[1]) or not _sound(context, member, k):
+        return False
+    if at_bound(member.fit, k, given) is not None:
+        return False
+    runs = [held_out_run(context, member.fit.candidate, d) for d in context.validation]
+    return all(overall(new.rmse, old.rmse) < farthest for new, old in zip(runs, state.runs))
 
 
 def _in_its_round(context: SearchContext, before: Refit, best: Attempt, k: int) -> Refit:
@@ -138,7 +158,8 @@ def _go_on(context: SearchContext, state: SearchState, fit: Refit) -> None:
     """Let another refit of all findings stand for the whole model."""
     state.fit, state.stage = fit, stage_of_candidate(context, fit.candidate)
     state.runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
-    state.accepted[-1] = dataclasses.replace(state.accepted[-1], runs=state.runs)
+    attempt = dataclasses.replace(state.accepted[-1].attempt, fit=fit)
+    state.accepted[-1] = dataclasses.replace(state.accepted[-1], attempt=attempt, runs=state.runs)
 
 
 def _beside(
@@ -151,7 +172,7 @@ def _beside(
     most, held = np.inf, context.held
     if only_near:
         here = refit(context.simulator, state.fit.candidate, context.data, noise_model, held=held, max_steps=0)
-        most = here.cost * np.exp(settings.MAX_CRITERION_GAP / here.count)
+        most = np.inf if here is None else here.cost * np.exp(settings.MAX_CRITERION_GAP / here.count)
     options = {"held": held, "max_steps": STEPS, "tolerance": ROUGH}
     # From its own M, D, K the way may be slow, but it is no wrong one.
     begun = (state.fit.candidate, most), (rival.fit.candidate, np.inf)

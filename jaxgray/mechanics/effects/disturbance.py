@@ -38,7 +38,9 @@ class PeriodicDisturbance(AbstractForceEffect):
         return self.bounded([p[0] * np.hypot(*weights), p[1], np.arctan2(weights[1], weights[0])])
 
     def moved(self, p, change):
-        # Straight in the plane of A cos(phase) and A sin(phase), in which the force is linear.
+        # At one frequency straight in the plane of A cos(phase) and A sin(phase), in which the force is linear.
+        if change[1] != 0:
+            return p + change
         along, across = p[0] + change[0], p[0] * change[2]
         return np.array([np.hypot(along, across), p[1] + change[1], p[2] + np.arctan2(across, along)])
 
