@@ -129,7 +129,7 @@ def refits(monkeypatch):
 
     monkeypatch.setattr(multistart, "refit", refitted)
     monkeypatch.setattr(multistart, "refit_to_convergence", lambda context, fit: fit)
-    monkeypatch.setattr(multistart, "_penalty", lambda context, score: 0.0)
+    monkeypatch.setattr(multistart, "shape_penalty", lambda context, score: 0.0)
     return begun
 
 
