@@ -106,7 +106,8 @@ RULES = (
 
 def snapshot(state) -> tuple:
     """What tells one state of the search from another."""
-    return id(state.fit), [id(one.attempt.fit) for one in state.accepted], [one.rivals for one in state.accepted]
+    names = [[rival.name for rival in one.rivals] for one in state.accepted]
+    return id(state.fit), [id(one.attempt.fit) for one in state.accepted], names
 
 
 def differs(one, other) -> bool:
@@ -187,6 +188,8 @@ def main():
     parser.add_argument("--data", type=pathlib.Path, help="folder of measured records")
     parser.add_argument("--cache", help="folder that keeps compiled programs for the next run")
     asked = parser.parse_args()
+    if asked.report and asked.folder is None:
+        parser.error("give --report ALL.json with a --folder")
     if asked.report:
         report(json.loads(asked.report.read_text()), asked.folder)
         return

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from ...mechanics.effects.base import AbstractForceEffect, Term, onset_of
+from ...numerics.matrices.bounded import bounded
 from .. import settings
 from ..model.candidate import Candidate, Data
 from ..model.reversals import decided_residual
@@ -161,6 +162,8 @@ def _short_enough(context: SearchContext, fit: Refit) -> list[tuple[Steps, bool]
 
     count = steps.count
     made = [_residual(context.simulator.in_steps(Steps(k * count)), fit, context.data[0]) for k in (1, 2, 4)]
+    if not bounded(*made):
+        return [(Steps(count), True)]
     # Residuals are zero where nothing was measured, or where it says nothing.
     coarse, middle, fine = np.where(np.all([one != 0 for one in made], axis=0), made, 0.0)
     first, second = _relative(middle - coarse, fit), _relative(fine - middle, fit)

@@ -342,6 +342,7 @@ def by_contact(context: SearchContext, attempt: Attempt, stage: Stage) -> Attemp
 
 
 def shape_penalty(context: SearchContext, score: Score) -> float:
+    """What the BIC of a law takes for its parameters, and for the shapes and places among which it was chosen."""
     return score.shape.free * np.log(rows_of(context.data[0])) + 2 * np.log(score.shape.tried)
 
 

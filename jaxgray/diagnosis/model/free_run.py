@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...mechanics.effects.base import Term
+from ...numerics.matrices.bounded import bounded
 from .candidate import Candidate, Data, estimated
 from .parameter_vector import state_step
 from .reversals import decided_residual
@@ -100,7 +101,7 @@ def _with_phases(simulator: Simulator, here: Candidate, terms: tuple[Term, ...],
     for _ in range(TURNS):
         y, J = simulator.run_and_jacobian(after, data)
         e = np.where(data.kept, data.y - y, 0.0)
-        cost = float(np.sum((e / size) ** 2)) if np.all(np.isfinite(J[data.kept])) else np.inf
+        cost = float(np.sum((e / size) ** 2)) if bounded(e, J[data.kept]) else np.inf
         if not cost < best[0]:
             break
         best, moved, last = (cost, after), [], J.shape[2]

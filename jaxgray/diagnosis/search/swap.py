@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from ...numerics.matrices.bounded import bounded
 from ...numerics.progress import BudgetSpent
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
@@ -56,11 +57,12 @@ def conclude(context: SearchContext, state: SearchState) -> None:
             _go_on(context, state, fine)
 
 
-def _lost(context: SearchContext, state: SearchState, fit: Refit) -> bool:
-    """Whether another refit of all findings is much farther from the held-out data: what the data of the fit hardly
-    determine went astray on the way."""
+def _lost(context: SearchContext, state: SearchState, fit: Refit, farthest: float | None = None) -> bool:
+    """Whether another refit of all findings leaves `farthest` times as much of the held-out data, by default what is
+    much: what the data of the fit hardly determine went astray on the way."""
+    farthest = 1 / settings.MUCH_NEARER if farthest is None else farthest
     runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
-    return any(not overall(new.rmse, old.rmse) < 1 / settings.MUCH_NEARER for new, old in zip(runs, state.runs))
+    return not all(bounded(new.e) and overall(new.rmse, old.rmse) < farthest for new, old in zip(runs, state.runs))
 
 
 def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
@@ -70,9 +72,10 @@ def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
     # The finding itself, in the place that it has now.
     own_place = dataclasses.replace(own, fit=state.fit, criterion=here)
     members, known = [], [rival.name for rival in accepted.rivals]
+    most = _most(context, state.fit, noise_model) if accepted.others else np.inf
     for rival in _distinct(accepted.compared, {one.attempt.name for one in state.accepted}):
         context.progress.stage(f"judging {rival.name[0]} in the place of {own.name[0]}")
-        fit = _beside(context, state, rival, k, noise_model, only_near=rival.name not in known)
+        fit = _beside(context, state, rival, k, noise_model, np.inf if rival.name in known else most)
         if fit is not None:
             worth = _worth(context, fit, noise_model) + rival.penalty
             members.append(dataclasses.replace(rival, fit=fit, criterion=worth))
@@ -80,7 +83,7 @@ def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
             state.rejected.append(Rejected.of(rival.name, rival.delta_bic, NOT_SIMULATED))
     # What is as good keeps its place, unless its own size is no longer sure.
     sure = _sound(context, own_place, k)
-    farthest = 1 + settings.MIN_RESIDUAL_SHARE if sure else 1 / settings.MUCH_NEARER
+    farthest = 1 + settings.MIN_RESIDUAL_SHARE if sure else None
     able = [member for member in members if _may_stand(context, state, member, k, farthest)]
     best = min(able, key=lambda member: member.criterion, default=own_place)
     if best is own_place or here - best.criterion < alike(best, own_place) * (1 if sure else -1):
@@ -124,17 +127,14 @@ def _distinct(attempts: tuple[Attempt, ...], there: set[tuple[str, str]]) -> lis
     return list({one.name: one for one in reversed(attempts) if one.name not in there}.values())[::-1]
 
 
-def _may_stand(context: SearchContext, state: SearchState, member: Attempt, k: int, farthest: float) -> bool:
+def _may_stand(context: SearchContext, state: SearchState, member: Attempt, k: int, farthest: float | None) -> bool:
     """Whether a law holds in the place of the k-th term: it has a size, is at no bound and no other law there, is
-    judged on the same data, and leaves less than `farthest` times as much of those that are held out."""
+    judged on the same data, and is not `_lost` on those that are held out."""
     own, given = state.accepted[k].attempt, context.simulator.setup.own
     laws = own.score.shape.effect, member.score.shape.effect
     if is_local(context, laws[0]) != is_local(context, laws[1]) or not _sound(context, member, k):
         return False
-    if at_bound(member.fit, k, given) is not None:
-        return False
-    runs = [held_out_run(context, member.fit.candidate, d) for d in context.validation]
-    return all(overall(new.rmse, old.rmse) < farthest for new, old in zip(runs, state.runs))
+    return at_bound(member.fit, k, given) is None and not _lost(context, state, member.fit, farthest)
 
 
 def _in_its_round(context: SearchContext, before: Refit, best: Attempt, k: int) -> Refit:
@@ -163,16 +163,13 @@ def _go_on(context: SearchContext, state: SearchState, fit: Refit) -> None:
 
 
 def _beside(
-    context: SearchContext, state: SearchState, rival: Attempt, k: int, noise_model: NoiseModel, *, only_near: bool
+    context: SearchContext, state: SearchState, rival: Attempt, k: int, noise_model: NoiseModel, most: float
 ) -> Refit | None:
     """A rival in the place of the k-th term, refitted from M, D, K of the model with all findings and from its own:
-    laws differ in the stiffness that they take upon themselves. `only_near`: None where it remains far behind."""
+    laws differ in the stiffness that they take upon themselves. None where its cost remains above `most`."""
     term = next(t for t in rival.fit.candidate.terms if (t.effect.id, t.place.name) == rival.name)
     terms = tuple(term if j == k else t for j, t in enumerate(state.fit.candidate.terms))
-    most, held = np.inf, context.held
-    if only_near:
-        here = refit(context.simulator, state.fit.candidate, context.data, noise_model, held=held, max_steps=0)
-        most = np.inf if here is None else here.cost * np.exp(settings.MAX_CRITERION_GAP / here.count)
+    held = context.held
     options = {"held": held, "max_steps": STEPS, "tolerance": ROUGH}
     # From its own M, D, K the way may be slow, but it is no wrong one.
     begun = (state.fit.candidate, most), (rival.fit.candidate, np.inf)
@@ -185,6 +182,12 @@ def _beside(
         return None
     again = refit(context.simulator, best.candidate, context.data, noise_model, held=held, max_steps=STEPS)
     return best if again is None else again
+
+
+def _most(context: SearchContext, fit: Refit, noise_model: NoiseModel) -> float:
+    """Cost under a noise model from which something is far behind a refit."""
+    here = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=0)
+    return np.inf if here is None else here.cost * np.exp(settings.MAX_CRITERION_GAP / here.count)
 
 
 def _worth(context: SearchContext, fit: Refit, noise_model: NoiseModel) -> float:
