@@ -1,15 +1,22 @@
 """Laws that can imitate one another: one that went astray is begun where the other ended."""
 
+import dataclasses
 import zlib
+from types import SimpleNamespace
 
 import hidden
 import numpy as np
 import pytest
 from found import check_found, diagnosed
 
-from jaxgray.diagnosis.starts.force_matching import _left
+import jaxgray
+from jaxgray.diagnosis.model.baseline import baseline_of
+from jaxgray.diagnosis.model.candidate import Data
+from jaxgray.diagnosis.model.simulator import Simulator
+from jaxgray.diagnosis.screening.features import Shape
+from jaxgray.diagnosis.starts.force_matching import _imitating, _left
 from jaxgray.mechanics.effects import by_id
-from jaxgray.mechanics.effects.base import Scales
+from jaxgray.mechanics.effects.base import Place, Scales, Term
 
 SPRINGS = ["cubic_stiffness", "sine_stiffness"]
 
@@ -41,3 +48,32 @@ def test_what_a_cubic_spring_leaves_of_a_sine_is_of_fifth_order():
     left, (line, cube) = _left(np.stack([angle, angle**3]), np.sin(angle))
     assert line == pytest.approx(1.0, abs=1e-3) and cube == pytest.approx(-1 / 6, rel=0.05)
     assert left < 1e-3 * np.linalg.norm(np.sin(angle))
+
+
+def test_a_law_begins_where_it_is_the_other_one_and_where_it_differs_most_but_can_imitate_it():
+    cubic, sine, place = by_id("cubic_stiffness"), by_id("sine_stiffness"), Place("y1", 0)
+    time = 0.05 * np.arange(600)
+    record = jaxgray.Record(8.0 * np.sin(2.0 * time)[:, None], np.sin(2.0 * time)[:, None], 0.05)
+    names = {"input_names": record.input_names, "output_names": record.output_names}
+    model = jaxgray.MechanicalModel(np.array([[1.0]]), np.array([[2.0]]), np.array([[40.0]]), **names)
+    baseline = baseline_of([record], None, model)
+    simulator, data = Simulator(baseline.setup, (cubic, sine)), Data.of(record)
+    candidate = baseline.start.with_terms((Term(cubic, place, np.array([-2.0])),))
+    most = np.max(np.abs(simulator.motion(candidate, data)[0]))
+
+    def shape(length):
+        values = np.array([1.0, length * most])
+        return SimpleNamespace(shape=Shape(sine, place, values, (values,), 1, SimpleNamespace()))
+
+    context, fit = SimpleNamespace(simulator=simulator, data=[data]), SimpleNamespace(candidate=candidate)
+    near, apart = _imitating(context, fit, [shape(length) for length in (0.1, 0.5, 4.0, 1.0)])
+    lengths = [float(start.candidate.terms[-1].values[1]) / most for start in (near, apart)]
+    assert lengths == pytest.approx([4.0, 0.5]) and near.left < apart.left < 0.2
+    for start in (near, apart):
+        # Of the spring that softens, and of what it leaves to the linear one, the sum is as stiff about rest.
+        k, length = start.candidate.terms[-1].values
+        before, now = (float(baseline.setup.matrices(c.entries)[2][0, 0]) for c in (candidate, start.candidate))
+        assert now + k / length == pytest.approx(before, rel=0.1)
+    assert _imitating(context, fit, [shape(0.1)]) == []
+    mirrored = dataclasses.replace(candidate, terms=(Term(sine, place, np.array([1.0, 0.1 * most])),))
+    assert _imitating(context, SimpleNamespace(candidate=mirrored), [shape(4.0)]) == []

@@ -12,7 +12,7 @@ import jaxgray
 from jaxgray.diagnosis.screening.features import Shape
 from jaxgray.diagnosis.screening.score_test import Score, Screening
 from jaxgray.diagnosis.screening.shortlist import in_other_forms, shortlist
-from jaxgray.diagnosis.starts.lookalikes import at_other_places
+from jaxgray.diagnosis.starts.lookalikes import as_likely_places, at_other_places, untried_look_alikes
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place
 
@@ -56,6 +56,28 @@ def test_the_law_of_the_best_is_looked_for_at_its_other_places():
     tried = {("stiffness_step", "y1-y4"), ("stiffness_step", "y4")}
     listed = names(at_other_places(best, table, screening([], []), tried))
     assert listed == [("stiffness_step", "y1-y2"), ("stiffness_step", "y2")]
+
+
+def test_places_that_explain_as_much_as_the_own_of_the_best_are_begun_as_well_and_none_where_there_is_no_other():
+    own, near = score("end_stop", "y1", 500.0), score("end_stop", "y2", 450.0)
+    far, other = score("end_stop", "y1-y2", 300.0), score("cubic_stiffness", "y2", 499.0)
+    best = SimpleNamespace(score=own, name=("end_stop", "y1"))
+    table, empty = screening([own, other, near, far], []), screening([], [])
+    assert as_likely_places(best, table, empty) == [own, near]
+    assert as_likely_places(best, empty, table) == [own, near]
+    assert as_likely_places(best, screening([own, other, far], []), empty) == []
+    # The best one came in by another door: nothing says how likely its own place is.
+    assert as_likely_places(best, screening([other, near, far], []), empty) == []
+
+
+def test_a_look_alike_that_explains_nothing_to_first_order_is_tried_where_the_best_is():
+    best = SimpleNamespace(name=("end_stop", "y2"))
+    silent = score("cubic_stiffness", "y1", 2.0), score("cubic_stiffness", "y2", -5.0)
+    ids, empty = frozenset({"cubic_stiffness", "sine_stiffness"}), screening([], [])
+    assert names(untried_look_alikes(ids, best, screening(silent, []), empty, set())) == [("cubic_stiffness", "y2")]
+    assert untried_look_alikes(ids, best, screening(silent, []), empty, {("cubic_stiffness", "y2")}) == []
+    heard = screening([score("cubic_stiffness", "y1", 30.0), silent[1]], [])
+    assert names(untried_look_alikes(ids, best, heard, empty, set())) == [("cubic_stiffness", "y1")]
 
 
 def test_a_law_begins_in_each_of_its_forms_at_its_own_place():

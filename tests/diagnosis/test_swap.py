@@ -1,7 +1,6 @@
 """An earlier finding compared once more with what was refitted beside it, in the model with later findings."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +16,8 @@ from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.model.simulator import Simulator, Steps
 from jaxgray.diagnosis.noise.whitening import white_noise_model
+from jaxgray.diagnosis.screening.features import Shape
+from jaxgray.diagnosis.screening.score_test import Score
 from jaxgray.diagnosis.search import swap as module
 from jaxgray.diagnosis.search.state import Accepted, SearchState, held_out_run
 from jaxgray.diagnosis.search.swap import swap
@@ -25,7 +26,9 @@ from jaxgray.mechanics.effects.base import Place, Term
 from jaxgray.numerics.progress import Silent
 
 M, D, K, H, SAMPLES, PLACE = 1.0, 0.6, 40.0, 0.05, 600, Place("y1", 0)
-CUBIC, STOP, DRAG = (by_id(name) for name in ("cubic_stiffness", "end_stop", "quadratic_drag"))
+CUBIC, STOP, DRAG, GAP = (
+    by_id(name) for name in ("cubic_stiffness", "end_stop", "quadratic_drag", "dead_zone_stiffness")
+)
 
 
 def record_of(seed):
@@ -56,8 +59,8 @@ def searched():
 
     def attempt(effect, *terms):
         fit = refit(simulator, baseline.start.with_terms(terms), data, white, max_steps=30)
-        shape = SimpleNamespace(effect=effect, place=PLACE, free=sum(p.counts for p in effect.parameters), scales=None)
-        score = SimpleNamespace(shape=shape)
+        values = np.array(terms[-1].values)
+        score = Score(Shape(effect, PLACE, values, (values,), None, 1), np.ones(1), 0.0, 0.0, 0.0, 0.0, 0)
         return Attempt(score, fit, noise_model_of(context, fit), 0.0, 0.0, 100.0)
 
     stop, cubic, drag = (Term(e, PLACE, np.array(v)) for e, v in ((STOP, [30.0, 0.3]), (CUBIC, [10.0]), (DRAG, [0.1])))
@@ -142,3 +145,21 @@ def test_what_was_accepted_elsewhere_is_no_rival(searched, right):
     state = state_of(searched[0], start, fit, [there, last])
     swap(searched[0], state)
     assert not state.rejected and not state.accepted[0].rivals and state.fit is fit
+
+
+@pytest.mark.parametrize("inside, called", [(0.8, "end_stop"), (0.1, "dead_zone_stiffness")])
+def test_a_law_is_called_as_its_contact_in_the_model_with_all_findings_has_it(searched, inside, called):
+    context, accepted, start, fit = searched
+    stop, drag = fit.candidate.terms
+    gap = np.quantile(np.abs(record_of(1).y), inside)
+    here = fit.candidate.with_terms((Term(stop.effect, stop.place, np.array([30.0, gap])), drag))
+    state = state_of(context, start, dataclasses.replace(fit, candidate=here), accepted)
+    module._call_by_contact(dataclasses.replace(context, catalogue=(*context.catalogue, GAP)), state)
+    assert names(state) == [called, "quadratic_drag"]
+    for made in (state.fit, *(one.attempt.fit for one in state.accepted)):
+        assert made.candidate.terms[0].effect.id == called
+    assert np.array_equal(state.fit.candidate.terms[0].values, [30.0, gap])
+    # Where the other name is not looked for, the law keeps its own.
+    state = state_of(context, start, dataclasses.replace(fit, candidate=here), accepted)
+    module._call_by_contact(context, state)
+    assert names(state) == ["end_stop", "quadratic_drag"]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...mechanics.effects.base import Term
+from ...mechanics.effects.base import AbstractEffect, Term
 from ...mechanics.runs.extended import arm_of
 from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
@@ -96,7 +96,7 @@ def attempts_of(
     rejected[before:] = [one for one in rejected[before:] if (one.effect, one.location) not in fits]
     attempts: dict[tuple[str, str], Attempt] = {}
     for score, fit in _followed(context, fits | known, rejected).values():
-        attempt = by_contact(context, Attempt(score, fit, noise_model_of(context, fit)), stage)
+        attempt = by_contact(context, Attempt(score, fit, noise_model_of(context, fit)))
         if attempt.name not in attempts or attempt.noise_model.cost < attempts[attempt.name].noise_model.cost:
             attempts[attempt.name] = attempt
     return attempts
@@ -320,25 +320,37 @@ def _followed(
     return {name: (fits[name][0], fit) for name, fit in zip(near, side_by_side(again, near))}
 
 
-def by_contact(context: SearchContext, attempt: Attempt, stage: Stage) -> Attempt:
-    """The attempt under the name that its contact gives it: backlash where the gap is left in more than half of the
-    samples, an end stop where in fewer; the law is the same. Under its own where the other is not looked for."""
-    term = attempt.fit.candidate.terms[-1]
+def by_contact(context: SearchContext, attempt: Attempt) -> Attempt:
+    """The attempt under the name that its contact gives it, its own where the other is not looked for."""
+    law = called_by_contact(context, attempt.fit.candidate, -1)
+    return attempt if law.id == attempt.fit.candidate.terms[-1].effect.id else called(attempt, law)
+
+
+def called_by_contact(context: SearchContext, candidate: Candidate, k: int) -> AbstractEffect:
+    """What the k-th law of a model is called by its contact: backlash where the gap is left in more than half of the
+    samples, an end stop where in fewer; the law is the same. As it is where the other is not looked for."""
+    term = candidate.terms[k]
     if not term.effect.by_contact:
-        return attempt
-    arm = np.asarray(arm_of(term, stage.plant))
-    data = context.data[0]
-    q = context.simulator.motion(attempt.fit.candidate, data)[0][: data.samples, : len(arm)]
+        return term.effect
+    data, arm = context.data[0], np.asarray(arm_of(term, context.simulator.plant(candidate)))
+    q = context.simulator.motion(candidate, data)[0][: data.samples, : len(arm)]
     contact = np.mean(np.abs(q @ arm) > float(term.values[1]))
     name = term.effect.by_contact[0 if contact > 0.5 else 1]
-    effect = next((one for one in context.catalogue if one.id == name), term.effect)
-    if effect.id == term.effect.id:
-        return attempt
-    renamed = Term(effect, term.place, term.values)
-    candidate = attempt.fit.candidate
-    fit = dataclasses.replace(attempt.fit, candidate=candidate.with_terms((*candidate.terms[:-1], renamed)))
-    shape = dataclasses.replace(attempt.score.shape, effect=effect)
+    return next((one for one in context.catalogue if one.id == name), term.effect)
+
+
+def called(attempt: Attempt, law: AbstractEffect) -> Attempt:
+    """The attempt under another name of the same law."""
+    shape = dataclasses.replace(attempt.score.shape, effect=law)
+    fit = renamed(attempt.fit, -1, law)
     return dataclasses.replace(attempt, fit=fit, score=dataclasses.replace(attempt.score, shape=shape))
+
+
+def renamed(fit: Refit, k: int, law: AbstractEffect) -> Refit:
+    """A refit with its k-th law under another name."""
+    terms = list(fit.candidate.terms)
+    terms[k] = Term(law, terms[k].place, terms[k].values)
+    return dataclasses.replace(fit, candidate=fit.candidate.with_terms(tuple(terms)))
 
 
 def shape_penalty(context: SearchContext, score: Score) -> float:

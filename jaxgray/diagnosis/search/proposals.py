@@ -19,6 +19,7 @@ from ..screening.shortlist import adds_mode, listed_with, shortlist
 from ..starts.equation_error import from_first_trials, from_forces
 from ..starts.force_matching import force_matched
 from ..starts.lookalikes import (
+    as_likely_places,
     at_other_places,
     contained_laws,
     refit_at_other_places,
@@ -54,7 +55,8 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
         late, tried, behind = _look_alikes_tried(context, state, ranked, (closer, screening), before)
         if predictable(ranked[0].noise_model):
             elsewhere = at_other_places(ranked[0], screening, closer, tried - behind)
-            late += refit_at_other_places(context, stage, ranked[0], elsewhere)
+            near = as_likely_places(ranked[0], screening, closer)
+            late += refit_at_other_places(context, stage, ranked[0], elsewhere, near)
         ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
     first = ranked[0].name if ranked else None
     ranked = _narrowed(context, stage, simplified(ranked), screening, closer)
@@ -75,13 +77,13 @@ def _look_alikes_tried(
 ) -> tuple[list[Attempt], set[tuple[str, str]], set[tuple[str, str]]]:
     """Refits of what is easily taken for the best law, from where it ended or where they push as it does; what was
     tried, and what was given up far behind, of the refusals from the one numbered `before` on."""
-    stage, (closer, screening) = state.stage, screenings
+    closer, screening = screenings
     tried = {a.name for a in ranked} | {(one.effect, one.location) for one in state.rejected[before:]}
     ids = look_alikes(ranked[0].score.shape.effect, context.catalogue) - {effect for effect, _ in tried}
-    others = untried_look_alikes(ids, screening, closer, tried)
-    late = refit_look_alikes(context, stage, ranked[0], others, state.rejected)
+    others = untried_look_alikes(ids, ranked[0], screening, closer, tried)
+    late = refit_look_alikes(context, ranked[0], others, state.rejected)
     behind = given_up(state.rejected[before:], ranked)
-    late += force_matched(context, stage, ranked[0], behind, screenings, state.rejected)
+    late += force_matched(context, ranked[0], behind, screenings, state.rejected)
     return late, tried, behind
 
 
@@ -91,7 +93,7 @@ def _narrowed(
     """The ranking, the laws that the best one contains refitted from its end as well: its advantage over them
     may be only a better optimum."""
     inside = contained_laws(ranked[0], screening, closer) if ranked else []
-    again = refit_look_alikes(context, stage, ranked[0], inside, []) if inside else []
+    again = refit_look_alikes(context, ranked[0], inside, []) if inside else []
     return simplified(_better_ones(compared(context, stage, ranked + again))) if again else ranked
 
 

@@ -13,7 +13,7 @@ from ..estimation.context import SearchContext, noise_model_of, stage_of_candida
 from ..estimation.continuation import ROUGH, in_short_steps
 from ..estimation.element_sums import at_fewer_everywhere
 from ..estimation.gauss_newton import Refit, refit
-from ..estimation.multistart import Attempt, moving, unresolved
+from ..estimation.multistart import Attempt, called, called_by_contact, moving, renamed, unresolved
 from ..estimation.significance import at_bound, evidence, significance
 from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
 from ..model.free_run import overall
@@ -50,11 +50,27 @@ def conclude(context: SearchContext, state: SearchState) -> None:
             _go_on(context, state, fewer)
     with contextlib.suppress(BudgetSpent):
         swap(context, state)
+    _call_by_contact(context, state)
     if state.fit is not None:
         # Too small to change a decision, the error of the steps may still move values by more than their error bars.
         fine, _ = in_short_steps(context, state.fit)
         if fine is not state.fit and not _lost(context, state, fine):
             _go_on(context, state, fine)
+
+
+def _call_by_contact(context: SearchContext, state: SearchState) -> None:
+    """Call laws as the motion with all findings has them: beside other laws a gap has another width."""
+    for k, accepted in enumerate(state.accepted if state.fit is not None else ()):
+        law = called_by_contact(context, state.fit.candidate, k)
+        if law.id == accepted.attempt.name[0]:
+            continue
+        state.fit = renamed(state.fit, k, law)
+        attempt = called(accepted.attempt, law)
+        rivals = tuple(rival for rival in accepted.rivals if rival.name != attempt.name)
+        state.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals)
+        for j, later in enumerate(state.accepted[k + 1 :], k + 1):
+            attempt = dataclasses.replace(later.attempt, fit=renamed(later.attempt.fit, k, law))
+            state.accepted[j] = dataclasses.replace(later, attempt=attempt)
 
 
 def _lost(context: SearchContext, state: SearchState, fit: Refit, farthest: float | None = None) -> bool:

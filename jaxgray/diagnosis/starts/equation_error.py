@@ -100,7 +100,7 @@ def _refitted(
     context.progress.stage(f"refining {effect} at {place}")
     end = refit_to_convergence(context, fit)
     begun = begun_at(score, np.asarray(begin.terms[-1].values, float))
-    return by_contact(context, Attempt(begun, end, noise_model_of(context, end)), stage)
+    return by_contact(context, Attempt(begun, end, noise_model_of(context, end)))
 
 
 def _begun(context: SearchContext, candidate: Candidate, trial: Trial) -> Candidate:

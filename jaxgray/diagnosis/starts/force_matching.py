@@ -6,6 +6,7 @@ over the record's motion says whether it is worth a refit, and with which sizes,
 """
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from ..estimation.multistart import Attempt, by_contact, criterion_of, unresolve
 from ..findings import Reason, Refusal, Rejected
 from ..model.candidate import Candidate
 from ..screening.features import Motion, Shape, forces_of
-from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
 
 SAME_ARM = 0.02
@@ -32,7 +32,6 @@ NEARBY = 3
 
 def force_matched(
     context: SearchContext,
-    stage: Stage,
     best: Attempt,
     tried: set[tuple[str, str]],
     tables: tuple[Screening, ...],
@@ -41,7 +40,7 @@ def force_matched(
     """Force laws along the arm of the best one that can imitate it, but ended far behind it: refitted from where it
     ended, those that come near.
 
-    **Arguments:** `context`; `stage`: without the best one; `best`; `tried`: laws and places that ended far behind;
+    **Arguments:** `context`; `best`; `tried`: laws and places that ended far behind;
     `tables`: where their shapes are; `rejected`: takes those that are another law where they end.
     """
     term = best.fit.candidate.terms[-1]
@@ -58,15 +57,25 @@ def force_matched(
         if np.allclose(*arms, atol=SAME_ARM):
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
     found = [_imitating(context, best.fit, list(scores[name].values())) for name in sorted(scores)]
-    near = sorted((pair for pair in found if pair[0] < settings.MATCHED_FORCE), key=lambda pair: pair[0])[:NEARBY]
-    ends = side_by_side(lambda pair: _refit_from(context, stage, best, *pair[1]), near)
+    near = sorted((starts for starts in found if starts), key=lambda starts: starts[0].left)[:NEARBY]
+    ends = side_by_side(lambda starts: _refit_from(context, best, starts), near)
     rejected += [end for end in ends if isinstance(end, Rejected)]
     return [end for end in ends if isinstance(end, Attempt)]
 
 
-def _imitating(context: SearchContext, fit: Refit, scores: list[Score]) -> tuple[float, tuple[Score, Candidate]]:
-    """What the nearest shape of a law leaves of the force of a refit's last term, its score, and the model with it in
-    the other's place."""
+@dataclass(frozen=True)
+class _Start:
+    """What a shape of a law leaves of the force of another law, relative to what a spring and a damper do; its score;
+    the model with it in the other's place."""
+
+    left: float
+    score: Score
+    candidate: Candidate
+
+
+def _imitating(context: SearchContext, fit: Refit, scores: list[Score]) -> list[_Start]:
+    """Of a law's shapes that can imitate the last term of a refit the nearest, and the one that differs most: the
+    nearest may be the other law, with nothing that tells them apart to go on from."""
     data, term = context.data[0], fit.candidate.terms[-1]
     plant, setup = context.simulator.plant(fit.candidate), context.simulator.setup
     q, v = context.simulator.motion(fit.candidate, data)
@@ -77,8 +86,10 @@ def _imitating(context: SearchContext, fit: Refit, scores: list[Score]) -> tuple
     made = np.concatenate(made)[:, : data.samples]
     plain = np.stack([q @ arm, v @ arm])[:, : data.samples]
     size = np.maximum(np.linalg.norm(plain, axis=1), 1e-300)
-    bare = _left(plain / size[:, None], made[0])[0]
-    best, at = (np.inf, 0, scores[0], np.zeros(2)), 1
+    bare = max(_left(plain / size[:, None], made[0])[0], 1e-300)
+    M, D, K = (np.asarray(X) for X in setup.matrices(fit.candidate.entries))
+    line = np.outer(arm, arm)[: setup.dofs, : setup.dofs]
+    starts, at = [], 1
     for score in scores:
         columns = made[at : at + len(score.shape.basis)]
         at += len(columns)
@@ -86,14 +97,14 @@ def _imitating(context: SearchContext, fit: Refit, scores: list[Score]) -> tuple
         if not np.all(np.isfinite(columns)):
             continue
         left, weights = _left(np.concatenate([plain / size[:, None], columns / scale[:, None]]), made[0])
-        if left < best[0]:
-            best = left, weights[2:] / scale, score, weights[:2] / size
-    left, weights, score, (stiffness, damping) = best
-    M, D, K = (np.asarray(X) for X in setup.matrices(fit.candidate.entries))
-    line = np.outer(arm, arm)[: setup.dofs, : setup.dofs]
-    entries = setup.entries_of(M, D + damping * line, K + stiffness * line)
-    terms = (*fit.candidate.terms[:-1], score.shape.term(np.asarray(weights)))
-    return left / max(bare, 1e-300), (score, dataclasses.replace(fit.candidate, entries=entries, terms=terms))
+        if left < settings.MATCHED_FORCE * bare:
+            stiffness, damping = weights[:2] / size
+            entries = setup.entries_of(M, D + damping * line, K + stiffness * line)
+            terms = (*fit.candidate.terms[:-1], score.shape.term(weights[2:] / scale))
+            candidate = dataclasses.replace(fit.candidate, entries=entries, terms=terms)
+            starts.append(_Start(left / bare, score, candidate))
+    starts.sort(key=lambda start: start.left)
+    return [starts[0], starts[-1]] if len(starts) > 1 else starts
 
 
 def _left(rows: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
@@ -102,19 +113,24 @@ def _left(rows: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.linalg.norm(target - weights @ rows)), weights
 
 
-def _refit_from(
-    context: SearchContext, stage: Stage, best: Attempt, score: Score, begin: Candidate
-) -> Attempt | Rejected | None:
+def _refit_from(context: SearchContext, best: Attempt, starts: list[_Start]) -> Attempt | Rejected | None:
     """The refit of a law from where it imitates the best one, or that it ends as another; None where far behind."""
-    shape = score.shape
+    shape = starts[0].score.shape
     context.progress.stage(f"refitting {shape.effect.id} at {shape.place.name}")
     options = {"held": context.held, "tolerance": ROUGH}
     again = refit(context.simulator, best.fit.candidate, context.data, best.noise_model, max_steps=3, **options)
     most = criterion_of(context, best.score, best.fit if again is None else again) + settings.MAX_CRITERION_GAP
-    fit = refit(context.simulator, begin, context.data, best.noise_model, max_steps=10, **options)
-    if fit is None or criterion_of(context, score, fit) > most:
+    other_law, ends = None, []
+    for start in starts:
+        fit = refit(context.simulator, start.candidate, context.data, best.noise_model, max_steps=10, **options)
+        if fit is None or criterion_of(context, start.score, fit) > most:
+            continue
+        end = refit_to_convergence(context, fit)
+        other_law = unresolved(end, start.score)
+        ends += [Attempt(start.score, end, noise_model_of(context, end))] if other_law is None else []
+    if ends:
+        return by_contact(context, min(ends, key=lambda end: end.noise_model.cost))
+    if other_law is None:
         return None
-    end = refit_to_convergence(context, fit)
-    if (other_law := unresolved(end, score)) is not None:
-        return Rejected.of((shape.effect.id, shape.place.name), score.delta_bic, Refusal(Reason.OTHER_LAW, other_law))
-    return by_contact(context, Attempt(score, end, noise_model_of(context, end)), stage)
+    why = Refusal(Reason.OTHER_LAW, other_law)
+    return Rejected.of((shape.effect.id, shape.place.name), starts[0].score.delta_bic, why)

@@ -8,17 +8,18 @@ from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, refit_to_convergence
 from ..estimation.gauss_newton import Refit, refit
-from ..estimation.multistart import Attempt, by_contact, criterion_of, dominated
+from ..estimation.multistart import Attempt, by_contact, criterion_of, dominated, first_fit, unresolved
 from ..findings import NOT_SIMULATED, Rejected
 from ..screening.linearization import Stage
-from ..screening.score_test import Score, Screening
+from ..screening.score_test import Score, Screening, best_by_place
 from ..screening.shortlist import same_start
 
 
 def untried_look_alikes(
-    ids: frozenset[str], screening: Screening, closer: Screening, tried: set[tuple[str, str]]
+    ids: frozenset[str], best: Attempt, screening: Screening, closer: Screening, tried: set[tuple[str, str]]
 ) -> list[list[Score]]:
-    """Candidates of the given laws, each at the place where it explains most, with the shapes to start from.
+    """Candidates of the given laws, each at the place where it explains most, or at that of the best one where it
+    explains nothing to first order, with the shapes to start from.
 
     Of the laws that differ in their name alone, one is tried at a place; `tried`: laws and places of the round so far.
     """
@@ -26,13 +27,14 @@ def untried_look_alikes(
     for effect_id in sorted(ids):
         scores: list[Score] = []
         for table in (closer.scores, screening.scores, screening.white):
-            best = next((score for score in table if score.shape.effect.id == effect_id), None)
-            if best is None or best.delta_bic < settings.MIN_DELTA_BIC:
-                continue
-            if not scores or (scores[0].shape.place.name == best.shape.place.name and not same_start(best, scores[0])):
-                scores.append(best)
+            one = next((score for score in table if score.shape.effect.id == effect_id), None)
+            if one is None or one.delta_bic < settings.MIN_DELTA_BIC:
+                one = best_by_place(table).get((effect_id, best.name[1]))
+            same = one is not None and (not scores or scores[0].shape.place.name == one.shape.place.name)
+            if same and not any(same_start(one, other) for other in scores):
+                scores.append(one)
         place = scores[0].shape.place.name if scores else ""
-        if not scores or any((name, place) in known for name in scores[0].shape.effect.by_contact):
+        if not scores or any((name, place) in known for name in (effect_id, *scores[0].shape.effect.by_contact)):
             continue
         known.add((effect_id, place))
         listed.append(scores[:2])
@@ -60,33 +62,53 @@ def at_other_places(
     return list(found.values())
 
 
+def as_likely_places(best: Attempt, screening: Screening, closer: Screening) -> list[Score]:
+    """Scores of the law of the best one where another place explains about as much as its own, to first order: at these
+    and at its own."""
+    effect, found = best.score.shape.effect, {}
+    for table in (closer, screening):
+        here = table.best_by_place()
+        own = here.get(best.name)
+        for name, score in here.items():
+            if name[0] == effect.id and own and score.delta_bic > own.delta_bic - settings.MAX_CRITERION_GAP:
+                found.setdefault(name, score)
+    return list(found.values()) if len(found) > 1 else []
+
+
 def refit_look_alikes(
-    context: SearchContext, stage: Stage, best: Attempt, listed: list[list[Score]], rejected: list[Rejected]
+    context: SearchContext, best: Attempt, listed: list[list[Score]], rejected: list[Rejected]
 ) -> list[Attempt]:
     """Refits of laws that stand in the place of the best one, those that do not end far behind it.
 
-    **Arguments:** `context`; `stage`: without the best one; `best`; `listed`: scores of every law to hear; `rejected`:
-    takes those that end far behind.
+    **Arguments:** `context`; `best`; `listed`: scores of every law to refit; `rejected`: takes those that end far
+    behind.
     """
-    ends = side_by_side(lambda scores: _refit_look_alike(context, stage, best, scores), listed)
+    ends = side_by_side(lambda scores: _refit_look_alike(context, best, scores), listed)
     rejected += [end for end in ends if isinstance(end, Rejected)]
     return [end for end in ends if isinstance(end, Attempt)]
 
 
 def refit_at_other_places(
-    context: SearchContext, stage: Stage, best: Attempt, listed: list[list[Score]]
+    context: SearchContext, stage: Stage, best: Attempt, listed: list[list[Score]], near: list[Score]
 ) -> list[Attempt]:
-    """The law of the best one where its refit ends better at another place, that place carried to its end; none where
-    none does. Arguments as of `refit_look_alikes`."""
+    """The law of the best one where its refit ends better at another place, or from another start: the place from which
+    it ends best carried to its end, from where the best one ended and from the model without it each; none where none
+    does. Arguments as of `refit_look_alikes`; `near`: scores to begin with from `stage`, the model without it."""
     most, abandon = _reached(context, best)
-    ends = side_by_side(lambda scores: _from_best(context, best, scores, abandon), listed)
-    ends = [end for end in ends if end is not None and criterion_of(context, *end) < most]
-    if not ends:
-        return []
-    return [_at_end(context, stage, *min(ends, key=lambda end: criterion_of(context, *end)))]
+    moved = side_by_side(lambda scores: _from_best(context, best, scores, abandon), listed)
+
+    def begun(score):
+        fit = first_fit(context, stage, score, best.noise_model, most)
+        return None if fit is None or unresolved(fit, score) is not None else (score, fit)
+
+    ends = []
+    for found in moved, side_by_side(begun, near):
+        found = [end for end in found if end is not None and criterion_of(context, *end) < most]
+        ends += [min(found, key=lambda end: criterion_of(context, *end))] if found else []
+    return [_at_end(context, *end) for end in ends]
 
 
-def _refit_look_alike(context: SearchContext, stage: Stage, best: Attempt, scores: list[Score]) -> Attempt | Rejected:
+def _refit_look_alike(context: SearchContext, best: Attempt, scores: list[Score]) -> Attempt | Rejected:
     """The refit of a law from where the best one's refit ended, or why there is none; under the name that its contact
     gives it."""
     name = scores[0].shape.effect.id, scores[0].shape.place.name
@@ -98,7 +120,7 @@ def _refit_look_alike(context: SearchContext, stage: Stage, best: Attempt, score
     behind = criterion_of(context, *found) - most
     if behind > settings.MAX_CRITERION_GAP:
         return Rejected.of(name, scores[0].delta_bic, dominated(behind))
-    return _at_end(context, stage, *found)
+    return _at_end(context, *found)
 
 
 def _reached(context: SearchContext, best: Attempt) -> tuple[float, float]:
@@ -133,7 +155,7 @@ def _from_best(
     return found
 
 
-def _at_end(context: SearchContext, stage: Stage, score: Score, fit: Refit) -> Attempt:
+def _at_end(context: SearchContext, score: Score, fit: Refit) -> Attempt:
     context.progress.stage(f"refining {score.shape.effect.id} at {score.shape.place.name}")
     end = refit_to_convergence(context, fit)
-    return by_contact(context, Attempt(score, end, noise_model_of(context, end)), stage)
+    return by_contact(context, Attempt(score, end, noise_model_of(context, end)))
