@@ -1,6 +1,5 @@
 """What the simulation gets wrong, why, and what mending it buys: the pipeline, nothing else."""
 
-import contextlib
 import dataclasses
 import difflib
 import functools
@@ -18,7 +17,7 @@ from ..mechanics.linear import corrected
 from ..mechanics.model import MechanicalModel
 from ..numerics.outcomes import ComputationError
 from ..numerics.programs.runtime import ready, relieve, undisturbed
-from ..numerics.progress import AbstractProgress, Budgeted, BudgetSpent, Silent
+from ..numerics.progress import AbstractProgress, Budgeted, Silent
 from ..numerics.text import listed
 from ..records import Record, check_compatible, preflight, records_of
 from ..records.checks.finding import SEVERITIES
@@ -71,7 +70,6 @@ from .routing import (
 from .screening.flexible_force import FlexibleForce
 from .search.forward import recount
 from .search.parts import Searched, search
-from .search.restart import from_other_modes
 from .search.state import SearchState
 from .simulated_outputs import as_if_measured, stand_in
 from .stamped import diagnose_stamped
@@ -314,9 +312,6 @@ def _of_clean_records(
     errors = MODEL_ERRORS + parameter_errors(baseline.setup.own) if baseline.own else ()
 
     state, searched = search(context, baseline, max_effects, errors=errors)
-    if fitted and not unseen:
-        with contextlib.suppress(BudgetSpent):
-            from_other_modes(context, state, identification, records)
     progress.unlimited.stage("summing up")
     # What no law explains has a colour of its own, and follows the inputs: it says nothing of the noise.
     noise = () if state.unexplained else noise_findings(records[0], state.stage.e, state.screening.noise_model)

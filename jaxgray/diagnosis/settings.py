@@ -15,9 +15,6 @@ Statist. Assoc. 90 (1995) 773-795)."""
 CLEAR_DELTA_BIC = 100.0
 """ΔBIC from which something is there, whatever the noise (benchmark)."""
 
-DELTA_BIC_BEHIND_NOISE = 50.0
-"""ΔBIC by measured motion from which an effect may hide behind noise at the forces (benchmark)."""
-
 SIGNIFICANCE = 0.01
 """Probability of a false alarm: of the gate over all families (Holm), and of further parameters that pay by chance
 (theory)."""
@@ -30,9 +27,6 @@ MIN_STANDARD_ERRORS = 4.0
 
 MIN_STANDARD_ERRORS_IF_CLEAR = 2.0
 """|β|/se that is enough where ΔBIC is beyond `CLEAR_DELTA_BIC` (benchmark)."""
-
-DOUBTFUL_STANDARD_ERRORS = 3.0
-"""Standard errors from nothing up to which a parameter beyond those of a simpler law is doubted (convention)."""
 
 MIN_EXPLAINED_SHARE = 0.1
 """Least share of what is left above the noise that a finding must explain (convention)."""
@@ -158,7 +152,7 @@ MAX_PUSH_SHARE = 0.05
 # Refits
 
 RESTART_RESIDUAL = 0.95
-"""Residual of a refit from other modes, relative to that of the first, below which it is taken (convention)."""
+"""Residual of a refit for the free run, relative to that of the first, below which it is taken (convention)."""
 
 MATCHED_FORCE = 0.2
 """What a law's force may leave of another's, beside a spring's and a damper's, relative to what these leave, for its

@@ -167,7 +167,7 @@ def test_a_law_that_was_given_up_comes_back_by_a_wider_one(refits, monkeypatch):
 
     monkeypatch.setattr(multistart, "_outright", outright)
     monkeypatch.setattr(multistart, "_followed", lambda context, fits, rejected: fits)
-    monkeypatch.setattr(multistart, "by_contact", lambda context, attempt, stage: attempt)
+    monkeypatch.setattr(multistart, "by_contact", lambda context, attempt: attempt)
     monkeypatch.setattr(multistart, "noise_model_of", lambda context, fit: SimpleNamespace(cost=0.0))
     listed = [[score_of("stribeck_friction", 0.1, 0.1, 0.1, 1e-3)], [score_of("coulomb_friction", 0.2, 1e-3)]]
     refused = Rejected.of(COULOMB, 1.0, multistart.dominated(50.0))

@@ -110,33 +110,6 @@ def at_fewer_thresholds(context: SearchContext, fit: Refit, *, max_steps: int, t
     return fit
 
 
-def at_fewer_everywhere(context: SearchContext, fit: Refit, *, max_steps: int, tolerance: float) -> Refit:
-    """The same for every term before the last: while others were missing, what they left hid which thresholds pay.
-
-    **Arguments:** as of `at_fewer_thresholds`.
-    """
-    for k, term in enumerate(fit.candidate.terms[:-1]):
-        if not elements_of(term.effect):
-            continue
-        terms = fit.candidate.terms
-        last = _in_order(context, fit, (*terms[:k], *terms[k + 1 :], term))
-        few = None if last is None else at_fewer_thresholds(context, last, max_steps=max_steps, tolerance=tolerance)
-        if few is None or few is last:
-            continue
-        *others, term = few.candidate.terms
-        back = _in_order(context, few, (*others[:k], term, *others[k:]))
-        fit = fit if back is None else back
-    return fit
-
-
-def _in_order(context: SearchContext, fit: Refit, terms: tuple[Term, ...]) -> Refit | None:
-    """A refit with its terms in another order."""
-    candidate = fit.candidate.with_terms(terms)
-    return refit(
-        context.simulator, candidate, context.data, noise_model_of(context, fit), held=context.held, max_steps=0
-    )
-
-
 def _at_one(
     context: SearchContext, fit: Refit, noise_model: NoiseModel, elements: list[tuple[int, int]]
 ) -> Refit | None:

@@ -15,7 +15,7 @@ from ..model.candidate import Candidate
 from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel, white_noise_model
 from ..screening.features import features
-from ..screening.linearization import as_answered, sampled_plant, stage_of
+from ..screening.linearization import as_answered, run_about, sampled_plant, stage_of
 from ..screening.projections import Products
 from ..screening.scales import scales_at
 from ..screening.spectral_lines import lines_of
@@ -116,6 +116,7 @@ def products_of(
         outputs,
         shapes={(term.effect.id, term.place.name): list(tried)},
         hidden=hidden,
+        run=run_about(stage, data),
     )
     responses = as_answered(stage, made, data).responses
     return Products(noise_model, stage.e, stage.J, responses, data.kept), tried

@@ -25,6 +25,7 @@ from ...mechanics.effects.base import (
 )
 from ...mechanics.model import MechanicalModel
 from ...mechanics.runs.extended import Plant, changed_input, changed_plant, held_input, plant_motion, sensed, slots_of
+from ...mechanics.runs.linearized import Linearized, linearized
 from ...mechanics.runs.tangents import Directions, run_and_tangents
 from ...numerics.programs.stored_programs import OFTEN, ONCE, stored
 from .candidate import Candidate, Data, Setup, estimated, of_record
@@ -113,6 +114,11 @@ def _run(plant, x0, start, end, seen, slots, sampling_time, laws, scheduling, su
 def _run_and_derivative(plant, x0, start, end, seen, slots, along, sampling_time, laws, scheduling, substeps):
     more = {"laws": laws, "scheduling": scheduling, "substeps": substeps, "seen": seen}
     return run_and_tangents(plant, x0, start, end, slots, along, sampling_time, **more)
+
+
+@stored(level=ONCE)
+def _linearized(plant, x0, start, end, slots, sampling_time, laws, scheduling, substeps):
+    return linearized(plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps)
 
 
 @stored(level=ONCE)
@@ -241,6 +247,16 @@ class Simulator:
     ) -> Float[np.ndarray, "columns samples outputs"]:
         """Responses of the linear plant to forces and inputs, as what it stands for answers: the same."""
         return responses
+
+    def linearized(self, candidate: Candidate, data: Data, record: int = 0) -> Linearized | None:
+        """The free run of a candidate linearised about itself, None where no force of a law is in it."""
+        plant, x0, (start, end, _), slots, table = self._parts(
+            _acting(self.completed(candidate), record), data, record
+        )[:5]
+        if slots is None:
+            return None
+        steps = np.asarray(self.steps.count)
+        return _linearized(plant, x0, start, end, slots, data.traced_sampling_time, table, data.scheduling, steps)
 
     def without_forces(self, candidate: Candidate) -> tuple["Simulator", Candidate] | None:
         """What simulates a candidate without the forces of its laws, and that candidate; None where it has none."""

@@ -1,7 +1,8 @@
 """What each candidate would add to the outputs, to first order: one response per effect, place and shape.
 
-Forces are computed from a motion (simulated, or smoothed from the measurement) and sent through the linear plant; input
-effects likewise from the input; output effects from the outputs; matrix effects as differences of linear runs.
+Forces are computed from a motion (simulated, or smoothed from the measurement) and sent through the model linearised
+about its free run, which without laws is the linear plant; input effects likewise from the input; output effects from
+the outputs; matrix effects as differences of linear runs.
 """
 
 import functools
@@ -26,6 +27,7 @@ from ...mechanics.effects.base import (
 )
 from ...mechanics.runs.extended import Plant, arm_of, held_input, input_matrix_of, local_rows, with_coordinates
 from ...mechanics.runs.force_over_time import force_over_time
+from ...mechanics.runs.linearized import Linearized, answers
 from ...mechanics.systems.drives import Force
 from ...mechanics.systems.statespace import hold_matrices
 from ...numerics.programs.side_by_side import side_by_side
@@ -35,6 +37,9 @@ from ..model.candidate import Data
 
 BATCH = 16
 """Responses are computed in multiples of so many, so that little is compiled."""
+
+SIDE_BY_SIDE = 32
+"""The same for those of a linearised run, which goes sample by sample."""
 
 
 @dataclass(frozen=True)
@@ -102,13 +107,14 @@ def features(
     taken: frozenset = frozenset(),
     shapes: dict | None = None,
     hidden: tuple[str, ...] = (),
+    run: Linearized | None = None,
 ) -> Features:
     """Responses of every effect at every place, with every shape of its grid.
 
     **Arguments:** `plant`: the linear part; `motion`; `data`: the record; `catalogue`; `scales`: by kind of place and
     name; `input_names`, `output_names`; `taken`: (id, place) that are in the model already; `shapes`: parameter
     vectors to try instead of the effect's own, by (id, place); `hidden`: names of the coordinates that no output
-    measures.
+    measures; `run`: what answers to forces and inputs in the place of the plant.
 
     **Returns:** `Features`.
     """
@@ -140,7 +146,7 @@ def features(
 
     def make(group) -> None:
         (kind, _), members = group
-        made = _MAKERS[kind]([all_shapes[k] for k in members], plant, motion, data, outputs)
+        made = _MAKERS[kind]([all_shapes[k] for k in members], plant, motion, data, outputs, run)
         columns = np.concatenate([np.arange(first[k], first[k] + len(all_shapes[k].basis)) for k in members])
         responses[columns] = made
 
@@ -200,9 +206,11 @@ def forces_of(shapes: list[Shape], plant: Plant, motion: Motion, data: Data) -> 
     return np.concatenate([np.asarray(s) for s in series])[_in_order(shapes, laws, series)]
 
 
-def _force_columns(shapes, plant, motion, data, outputs):
+def _force_columns(shapes, plant, motion, data, outputs, run):
     arm = arm_of(Term(shapes[0].effect, shapes[0].place, np.zeros(0)), plant)
     forces = forces_of(shapes, plant, motion, data)
+    if run is not None:
+        return _answers(run, -arm, forces, _next(forces), outputs, forced=True)
     return _responses(
         plant,
         -arm[:, None],
@@ -251,6 +259,23 @@ def _responses(plant, columns, start, end, time, outputs, *, forced, seen=None):
     return made
 
 
+def _answers(run: Linearized, column, start, end, outputs, *, forced):
+    """Outputs of a linearised run for many series of forces or of one input."""
+    total = len(start)
+    made = np.empty((total, start.shape[1], outputs))
+    for k in range(0, total, SIDE_BY_SIDE):
+        part = slice(k, min(k + SIDE_BY_SIDE, total))
+        pad = ((0, SIDE_BY_SIDE - (part.stop - part.start)), (0, 0))
+        y = _answer_many(run, column, np.pad(start[part], pad), np.pad(end[part], pad), forced)
+        made[part] = np.asarray(y)[: part.stop - part.start, :, :outputs]
+    return made
+
+
+@stored
+def _answer_many(run, column, start, end, forced):
+    return answers(run, column, start, end, forced=forced)
+
+
 @stored
 def _respond_many(plant, columns, start, end, seen, time, forced):
     system = plant.drive.state_space(plant.mass, plant.damping, plant.stiffness, plant.measured, time)
@@ -270,7 +295,7 @@ def _respond_many(plant, columns, start, end, seen, time, forced):
     return y if seen is None else y + (seen - start) @ D.T
 
 
-def _input_columns(shapes, plant, motion, data, outputs):
+def _input_columns(shapes, plant, motion, data, outputs, run):
     j = shapes[0].place.first
     laws, vectors = _columns(shapes)
     start, end = held_input(data.u, data.hold)
@@ -283,6 +308,10 @@ def _input_columns(shapes, plant, motion, data, outputs):
     made = [np.concatenate([np.asarray(c[k]) for c in changes])[order][:, :, None] for k in range(count)]
     column = np.eye(input_matrix_of(plant.drive).shape[1])[:, j : j + 1]
     first, last, seen = (*made, None)[:3]
+    if run is not None:
+        y = _answers(run, column[:, 0], first[:, :, 0], last[:, :, 0], outputs, forced=False)
+        fed = np.asarray(run.fed_input)[:outputs, j]
+        return y if seen is None else y + (seen - first) * fed
     return _responses(plant, column, first, last, data.traced_sampling_time, outputs, forced=False, seen=seen)
 
 
@@ -296,7 +325,7 @@ def _input_changes(law, vectors, start, end, time, direct):
     return jax.vmap(one)(vectors)
 
 
-def _output_columns(shapes, plant, motion, data, outputs):
+def _output_columns(shapes, plant, motion, data, outputs, run):
     first = shapes[0].place.first
     made = np.zeros((sum(len(s.basis) for s in shapes), len(data.u), outputs))
     source = np.zeros(len(data.u))
@@ -315,7 +344,7 @@ def _output_changes(law, vectors, y, source, time):
     return jax.vmap(lambda p: law.apply(p, y, source, time) - y)(vectors)
 
 
-def _matrix_columns(shapes, plant, motion, data, outputs):
+def _matrix_columns(shapes, plant, motion, data, outputs, run):
     start, end = held_input(data.u, data.hold)
     laws, vectors = _columns(shapes)
     dofs = plant.mass.shape[0]

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ...mechanics.effects.base import AbstractEffect, AbstractOutputEffect, Place, Term
 from ...mechanics.runs.extended import Plant, input_matrix_of
+from ...mechanics.runs.linearized import Linearized
 from ...mechanics.systems.statespace import StateSpace, sampled
 from ...numerics.programs.stored_programs import ONCE, stored
 from ..model.candidate import Candidate, Data
@@ -111,7 +112,9 @@ def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Fea
     errors = [effect for effect in catalogue if isinstance(effect, ParameterError)]
     others = tuple(effect for effect in catalogue if not isinstance(effect, ParameterError))
     known = stage.taken | stage.ruled_out
-    made = features(stage.plant, motion, data, others, scales, inputs, outputs, known, hidden=hidden)
+    made = features(
+        stage.plant, motion, data, others, scales, inputs, outputs, known, hidden=hidden, run=run_about(stage, data)
+    )
     made = as_answered(stage, made, data)
     shapes, columns, column = [], [], {error.at: k for k, error in enumerate(parameter_errors(stage.own))}
     for effect in errors:
@@ -125,6 +128,19 @@ def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Fea
         return made
     responses = np.concatenate([made.responses, np.moveaxis(stage.slopes[:, :, columns], 2, 0)])
     return Features((*made.shapes, *shapes), responses)
+
+
+_runs: "weakref.WeakKeyDictionary[Stage, tuple[Data, Linearized | None]]" = weakref.WeakKeyDictionary()
+
+
+def run_about(stage: Stage, data: Data) -> Linearized | None:
+    """The run of a stage linearised about itself, made once; None where the plant alone answers as it does."""
+    if stage.simulator is None or type(stage.simulator).answered is not Simulator.answered:
+        return None
+    known = _runs.get(stage)
+    if known is None or known[0] is not data:
+        _runs[stage] = known = data, stage.simulator.linearized(stage.candidate, data)
+    return known[1]
 
 
 def as_answered(stage: Stage, made: Features, data: Data) -> Features:

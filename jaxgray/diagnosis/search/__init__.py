@@ -8,18 +8,17 @@ initial states and all parameters of all effects together, shapes included. The 
 round:
 
     Screen    the score test of every effect, at every place, in every shape, on the residual of the present structure
-    Propose   the few effects with the highest scores, each at its best places, and what resembles the best one
+    Propose   the few effects with the highest scores, each at its best places, and what resembles the best one,
+              whatever its score
     Refit     each of these candidates from several starts (`diagnosis.starts`); of each the best refit counts
-    Order     by BIC, all under one noise model: that with which a candidate reached the best BIC. A law that contains a
-              simpler one is tried after it, unless its BIC is better by more than chance explains
+    Order     by BIC, all under one noise model: that with which a candidate reached the best BIC
     Accept    the first candidate that passes the rule of `diagnosis.acceptance`: its amplitude is significant; no
               parameter is at a bound; with its values it does not reduce to another law; it removes at least a tenth of
               the residual in excess of the noise; and it gains on held-out data, with 99 % certainty
     Compare   candidates whose BIC differs from that of the accepted one by less than 6 (if one resembles the other, by
               less than 10) cannot be told from it: they are its equivalence class
     Prune     a law accepted before that the new one contains becomes part of it; laws that the new one has made
-              needless are dropped. If nothing of this happened, simpler laws that explain nearly as much replace
-              accepted ones
+              needless are dropped
     Swap      every law accepted before is compared again, in the model with the new one, with its class and with what
               was refitted in its round and explained less, or had no sure gain: the best one that holds there
               replaces it. A law whose amplitude is no longer significant gives way to one as good that is. Then the
@@ -34,7 +33,7 @@ If no candidate passes, the round goes on to further *moves*, in this order, unt
         another one passes in that round, otherwise neither
 
 The search ends when the score test shows nothing, when no move succeeds, or with `max_effects` effects. Then laws are
-swapped once more, in the final model.
+swapped once more, in the final model, and a gap is called backlash or end stop by how often it is left there.
 
 state         the search state: structure, refit, what was accepted, what was refused and why
 forward       the rounds
@@ -46,8 +45,7 @@ backward      pruning
 swap          accepted laws compared once more beside later ones; the last refits of all
 parts         the search on a part of a long record, followed by a refit on all of it; candidates from the force
               equation (`diagnosis.equation_error`) where free runs lose phase with the record
-restart       the accepted model refitted once more, under white noise and from the modes of the record; the refit
-              counts if its residual is smaller
+restart       the accepted model refitted once more under white noise; the refit counts if its residual is smaller
 
 To add an effect: a class in the file of its family in `mechanics.effects`, which declares what it `contains` and
 `resembles`; a row in `mechanics.effects.CATALOGUE`; its title in `diagnosis.words.titles.NAMES`.

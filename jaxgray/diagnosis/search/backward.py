@@ -1,5 +1,4 @@
-"""What newer findings make of the older: laws that are part of a wider one, terms that are needless now, and laws that
-a simpler one can stand for.
+"""What newer findings make of the older: laws that are part of a wider one, and terms that are needless now.
 
 The newest may be the needless one: where the others were not yet at their best values, a refit together with any law
 brings them there, and that law gets the credit.
@@ -22,14 +21,10 @@ from .state import SearchState, held_out_run
 
 
 def prune(context: SearchContext, state: SearchState) -> None:
-    """Make one law of the newest and of what it contains, and drop the terms that the newer ones have made needless;
-    where there is none, put simpler laws in the place of those that hardly differ from them."""
-    before = len(state.accepted)
+    """Make one law of the newest and of what it contains, and drop the terms that the newer ones have made needless."""
     _unite(context, state)
     while len(state.accepted) > 1 and _dropped(context, state):
         pass
-    if len(state.accepted) == before:
-        _simplify(context, state)
 
 
 def _unite(context: SearchContext, state: SearchState) -> None:
@@ -101,56 +96,6 @@ def _credit(state: SearchState, delta_bic: float) -> None:
     last = state.accepted[-1]
     attempt = dataclasses.replace(last.attempt, fit=state.fit, delta_bic=last.attempt.delta_bic + delta_bic)
     state.accepted[-1] = dataclasses.replace(last, attempt=attempt)
-
-
-def _simplify(context: SearchContext, state: SearchState) -> None:
-    """A law whose further parameters explain nothing beside the others gives way to the simpler one that it contains,
-    begun from where it ended."""
-    known = {effect.id: effect for effect in context.catalogue}
-    for k, accepted in enumerate(state.accepted):
-        term = state.fit.candidate.terms[k]
-        there = context.simulator.completed(state.fit.candidate).terms
-        inside = {t.effect.id for t in there if t.place == term.place}
-        for simpler in (known[name] for name in term.effect.contains if name in known and name not in inside):
-            values = dict(zip((p.name for p in term.effect.parameters), np.array(term.values, dtype=float)))
-            # The width over which a sign turns is nothing where the law with more in it has none.
-            values = {p.name: 0.0 for p in simpler.parameters if not p.counts} | values
-            named = all(p.name in values for p in simpler.parameters)
-            if not named or not _doubtful(context, state, k, simpler):
-                continue
-            plain = Term(simpler, term.place, np.array([values[p.name] for p in simpler.parameters], dtype=float))
-            terms = tuple(plain if j == k else t for j, t in enumerate(state.fit.candidate.terms))
-            found = _instead(context, state, state.fit.candidate.with_terms(terms))
-            if found is None:
-                continue
-            fit, ratio, rows = found
-            shape = dataclasses.replace(accepted.attempt.score.shape, effect=simpler)
-            if ratio >= max(accepted.attempt.score.shape.free - shape.free, 1) * np.log(rows):
-                continue
-            why = f"the same as {simpler.id} with a parameter that explains nothing beside the others"
-            state.rejected.append(Rejected.of(accepted.attempt.name, ratio, Refusal(Reason.NEEDLESS, why)))
-            score = dataclasses.replace(accepted.attempt.score, shape=shape)
-            attempt = dataclasses.replace(accepted.attempt, score=score)
-            # Rivals that contain it, too, are it with something that explains nothing.
-            rivals = tuple(
-                r for r in accepted.rivals if r.name != attempt.name and simpler.id not in r.score.shape.effect.contains
-            )
-            state.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals)
-            _take(context, state, fit)
-            break
-
-
-def _doubtful(context: SearchContext, state: SearchState, k: int, simpler) -> bool:
-    """Whether what a law has beyond a simpler one is near nothing by now."""
-    layout = Layout(context.simulator.setup, state.fit.candidate)
-    errors = np.sqrt(np.maximum(np.diag(state.fit.covariance), 0.0))
-    term, common = state.fit.candidate.terms[k], {p.name for p in simpler.parameters}
-    further = [
-        abs(float(term.values[j])) <= settings.DOUBTFUL_STANDARD_ERRORS * errors[layout.first + at]
-        for at, (owner, j) in enumerate(layout.terms)
-        if owner == k and term.effect.parameters[j].name not in common
-    ]
-    return any(further)
 
 
 def _instead(context: SearchContext, state: SearchState, candidate: Candidate) -> tuple[Refit, float, int] | None:

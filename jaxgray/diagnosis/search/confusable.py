@@ -29,14 +29,6 @@ def alike(best: Attempt, other: Attempt) -> float:
     )
 
 
-def simplified(ranked: list[Attempt]) -> list[Attempt]:
-    """The ranking, with the simpler law first where the best is the same with a parameter that explains nothing."""
-    for other in ranked[1:]:
-        if needless(ranked[0], other):
-            return [other, *(one for one in ranked if one is not other)]
-    return ranked
-
-
 def commonest_first(ranked: list[Attempt], catalogue: Iterable[AbstractEffect]) -> list[Attempt]:
     """The ranking, with the law first that comes first in the catalogue, among the look-alikes of the best one there
     that explain as much."""

@@ -26,7 +26,6 @@ from .acceptance import Evidence, floor_of, tested
 from .backward import prune
 from .confusable import alike, commonest_first, needless
 from .proposals import (
-    behind_the_noise,
     closer_screening,
     given_up,
     refitted,
@@ -36,7 +35,7 @@ from .proposals import (
 )
 from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
 from .restart import for_the_free_run
-from .state import MOST_COMPARED, Accepted, SearchState, held_out_run, is_local, runs_seen
+from .state import MOST_COMPARED, Accepted, SearchState, held_out_run, runs_seen
 from .swap import conclude, swap
 
 
@@ -95,23 +94,19 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         state.unexplained = True
         first = from_forces(context, state.stage, screening) if left > 0 else []
         return 1 if _accepted(context, state, first, Move.FORCE_EQUATION) else None
-    closer = None
-    if not _tried_by_forces(context, state, left) and not screening.fires and not strong(screening):
-        closer = behind_the_noise(context, state.stage, screening)
-        if closer is None and wrong_entries(context, state.stage, screening, least=settings.CLEAR_DELTA_BIC):
-            # A run out of phase shows no entry to first order, and all that it leaves passes for noise at the forces.
-            closer = closer_screening(context, state.stage, screening)
-        if closer is None:
-            found = left > 0 and (
-                _accepted(context, state, hidden_modes(context, state.stage, screening), Move.HIDDEN_MODE)
-                or _accepted(context, state, from_forces(context, state.stage, screening), Move.FORCE_EQUATION)
-            )
-            return 1 if found else None
+    quiet = not (_tried_by_forces(context, state, left) or screening.fires or strong(screening))
+    # A run out of phase shows no entry to first order, and all that it leaves passes for noise at the forces.
+    if quiet and not wrong_entries(context, state.stage, screening, least=settings.CLEAR_DELTA_BIC):
+        found = left > 0 and (
+            _accepted(context, state, hidden_modes(context, state.stage, screening), Move.HIDDEN_MODE)
+            or _accepted(context, state, from_forces(context, state.stage, screening), Move.FORCE_EQUATION)
+        )
+        return 1 if found else None
     if left <= 0:
         return None
     # Until they are taken or refuted, there are candidates.
     state.unexplained = True
-    closer = closer_screening(context, state.stage, screening) if closer is None else closer
+    closer = closer_screening(context, state.stage, screening)
     before = len(state.rejected)
     ranked = refitted(context, state, screening, closer)
     if _accepted(context, state, ranked):
@@ -122,10 +117,9 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
         # Far behind laws that do not hold, and looked for under what these leave.
         others = without_failed(context, state, searched, screening, ranked)
         second = [] if others is None else refitted(context, state, *others)
-        both = compared(context, state.stage, ranked + second) if second else ranked
-        if _accepted(context, state, _judged(context, state, second, both, before), Move.SECOND_SCREENING):
+        if _accepted(context, state, second, Move.SECOND_SCREENING):
             return 1
-        ranked = both
+        ranked = compared(context, state.stage, ranked + second) if second else ranked
     tried = frozenset(attempt.name for attempt in ranked)
     if _accepted(context, state, hidden_modes(context, state.stage, screening, tried), Move.HIDDEN_MODE):
         return 1
@@ -190,17 +184,6 @@ def _refuted(
         return False
     state.screening = again
     return True
-
-
-def _judged(
-    context: SearchContext, state: SearchState, second: list[Attempt], both: list[Attempt], since: int
-) -> list[Attempt]:
-    """Of other laws those that held-out data judge, and those that explain more than what they refused in this round: a
-    law that need not prove itself there does not go before one that failed for that alone."""
-    failed = {(one.effect, one.location) for one in state.rejected[since:] if one.reason is Reason.NO_SURE_GAIN}
-    most = max((attempt.delta_bic for attempt in both if attempt.name in failed), default=-np.inf)
-    clear = {attempt.name for attempt in both if attempt.delta_bic > most}
-    return [a for a in second if a.name in clear or not is_local(context, a.score.shape.effect)]
 
 
 def _accepted(

@@ -29,7 +29,7 @@ from ..starts.lookalikes import (
 from ..starts.other_models import from_other_models
 from ..starts.user_model import wrong_entries
 from ..starts.windows import changes_over_time
-from .confusable import look_alikes, simplified
+from .confusable import look_alikes
 from .provisional import refit_for_free_run
 from .state import SearchState, is_local
 
@@ -58,12 +58,7 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
             near = as_likely_places(ranked[0], screening, closer)
             late += refit_at_other_places(context, stage, ranked[0], elsewhere, near)
         ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
-    first = ranked[0].name if ranked else None
-    ranked = _narrowed(context, stage, simplified(ranked), screening, closer)
-    if ranked and ranked[0].name != first:
-        # What is taken for the simpler law was not asked for yet.
-        late, _, _ = _look_alikes_tried(context, state, ranked, (closer, screening), len(state.rejected))
-        ranked = simplified(_better_ones(compared(context, stage, ranked + late))) if late else ranked
+    ranked = _narrowed(context, stage, ranked, screening, closer)
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
 
@@ -94,7 +89,7 @@ def _narrowed(
     may be only a better optimum."""
     inside = contained_laws(ranked[0], screening, closer) if ranked else []
     again = refit_look_alikes(context, ranked[0], inside, []) if inside else []
-    return simplified(_better_ones(compared(context, stage, ranked + again))) if again else ranked
+    return _better_ones(compared(context, stage, ranked + again)) if again else ranked
 
 
 def _better_ones(ranked: list[Attempt]) -> list[Attempt]:
@@ -112,19 +107,6 @@ def closer_screening(context: SearchContext, stage: Stage, screening: Screening)
     """The ranking under the noise model of the gate, or under its own where that shows nothing."""
     closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names, screening.noise_model)
     return closer if closer.shows else screen_smoothed(stage, context.data[0], context.catalogue, context.names)
-
-
-def behind_the_noise(context: SearchContext, stage: Stage, screening: Screening) -> Screening | None:
-    """The ranking by measured motion where the gate is silent only because noise at the forces takes all; None where
-    that shows nothing either.
-
-    At large amplitudes the simulated motion is too far off for its features to count, and the noise model then swallows
-    the effect. What is found so must still hold on data that the fit has not seen.
-    """
-    if screening.noise_model.ratio == 0.0:
-        return None
-    closer = screen_smoothed(stage, context.data[0], context.catalogue, context.names)
-    return closer if closer.scores and closer.scores[0].delta_bic > settings.DELTA_BIC_BEHIND_NOISE else None
 
 
 def strong(screening: Screening) -> bool:

@@ -1,24 +1,11 @@
-"""The model that was found, refitted once more from elsewhere, and kept where it leaves less.
-
-As it stands, under white noise: where a law was still missing, its traces passed for noise at the forces, and under
-such noise a refit follows the record step by step and hardly asks where the free run goes.
-
-From the record's own modes, where the first linear model was poor: the missing effect may distort the best M, D, K so
-much (a sensor that lags, a sweep) that a refit with the right effect ends in another minimum. The modes are hardly
-touched by it.
-"""
+"""The model that was found, refitted once more under white noise, and kept where it leaves less: where a law was still
+missing, its traces passed for noise at the forces, and under such noise a refit follows the record step by step and
+hardly asks where the free run goes."""
 
 import dataclasses
 
 import numpy as np
 
-from ...identification import Identification
-from ...identification.initialization.modal_start import modal_start
-from ...identification.initialization.start import nearest_physical
-from ...identification.setup.preparation import prepare
-from ...mechanics.runs.simulate import initial_state
-from ...numerics.outcomes import ComputationError
-from ...records import Record
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.gauss_newton import Refit, refit
@@ -40,28 +27,6 @@ def for_the_free_run(context: SearchContext, state: SearchState) -> None:
         return
     context.progress.stage("refitting for the free run")
     _keep(context, state, _refitted(context, state, state.fit.candidate))
-
-
-def from_other_modes(
-    context: SearchContext, state: SearchState, identification: Identification, records: list[Record]
-) -> None:
-    """Refit a model with one effect from the record's own modes.
-
-    **Arguments:** `context`; `state`: changed in place; `identification`: where it began; `records`.
-    """
-    if len(state.accepted) != 1 or min(identification.fit_percent["estimation"].values()) > settings.USABLE_FIT:
-        return
-    scaling = identification.scaling
-    try:
-        start = modal_start([prepare(r, scaling) for r in records], identification.setting)
-    except ComputationError:
-        return
-    context.progress.stage("refitting from other modes")
-    matrices = scaling.matrices_out(*nearest_physical(start.matrices))
-    model = identification.model.with_matrices(*matrices)
-    states = tuple(initial_state(model, r.u, r.y, r.sampling_time, hold=r.hold)[0] for r in records)
-    moved = Candidate(context.simulator.setup.entries_of(*matrices), states).with_terms(state.fit.candidate.terms)
-    _keep(context, state, _refitted(context, state, moved))
 
 
 def _refitted(context: SearchContext, state: SearchState, candidate: Candidate) -> Refit | None:

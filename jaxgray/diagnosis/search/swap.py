@@ -11,7 +11,6 @@ from ...numerics.progress import BudgetSpent
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.continuation import ROUGH, in_short_steps
-from ..estimation.element_sums import at_fewer_everywhere
 from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import Attempt, called, called_by_contact, moving, renamed, unresolved
 from ..estimation.significance import at_bound, evidence, significance
@@ -42,12 +41,7 @@ def swap(context: SearchContext, state: SearchState) -> None:
 
 
 def conclude(context: SearchContext, state: SearchState) -> None:
-    """The last refits of all findings together: sums of elements at fewer thresholds, `swap`, and steps whose error
-    cannot be told from noise."""
-    if state.fit is not None:
-        fewer = at_fewer_everywhere(context, state.fit, max_steps=STEPS, tolerance=ROUGH)
-        if fewer is not state.fit:
-            _go_on(context, state, fewer)
+    """The last refits of all findings together: `swap`, and steps whose error cannot be told from noise."""
     with contextlib.suppress(BudgetSpent):
         swap(context, state)
     _call_by_contact(context, state)

@@ -108,13 +108,13 @@ def run_and_tangents(
     # Samples first, as the chunks are.
     changes = () if along.start is None else (along.start, along.end - along.start)
     changes, moves = (jax.tree.map(lambda X: jnp.moveaxis(X, 1, 0), X) for X in (changes, moves))
-    parts = jax.tree.map(_in_chunks, (x, z, series, changes, seen_by, moves))
+    parts = jax.tree.map(in_chunks, (x, z, series, changes, seen_by, moves))
     d = jnp.concatenate([dfirst, jnp.zeros((dfirst.shape[0], states - x.shape[1]))], axis=1).T
     J = jax.lax.scan(chunk, d, parts)[1]
     return seen_by @ table.T, J.reshape(-1, *J.shape[2:])[: len(x)]
 
 
-def _in_chunks(X):
+def in_chunks(X):
     X = jnp.pad(X, ((0, -len(X) % CHUNK), *((0, 0),) * (X.ndim - 1)), mode="edge")
     return X.reshape(len(X) // CHUNK, CHUNK, *X.shape[1:])
 
