@@ -13,7 +13,7 @@ from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.model.simulator import Simulator, Steps
 from jaxgray.diagnosis.noise.whitening import white_noise_model
-from jaxgray.diagnosis.screening import linearization
+from jaxgray.diagnosis.screening import features, linearization
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
 
@@ -70,3 +70,33 @@ def test_beside_friction_a_score_is_what_the_refit_gains(monkeypatch, rubbing):
     assert found["cubic_stiffness"] == pytest.approx(gain, rel=0.3)
     # The linear plant alone is moved by forces that friction takes up.
     assert scores(monkeypatch, rubbing, plain=True).get("cubic_stiffness", 0.0) < 0.5 * gain
+
+
+def test_where_the_linearised_run_overflows_the_plant_answers(monkeypatch, rubbing):
+    plain = scores(monkeypatch, rubbing, plain=True)
+    monkeypatch.undo()
+    nothing = lambda run, column, start, end, outputs, forced: np.full((*start.shape, outputs), np.nan)  # noqa: E731
+    monkeypatch.setattr(features, "_answers", nothing)
+    assert scores(monkeypatch, rubbing, plain=False) == plain
+
+
+def test_answers_that_run_away_after_the_record_end_with_it(rubbing):
+    _, data, *_ = rubbing
+    made = np.ones((3, len(data.u), 1))
+    assert len(data.u) > data.samples
+    made[1, -1], made[2, -1] = 1e4, np.inf
+    ended = features._ended(made.copy(), data)
+    assert np.array_equal(ended[0], made[0]) and np.all(ended[:, : data.samples] == 1.0)
+    assert not np.any(ended[1:, data.samples :])
+
+
+def test_accelerometers_say_nothing_beside_reversals(monkeypatch, rubbing):
+    here, data, names, *_ = rubbing
+    whole = linearization._features(here, here.motion, data, LAWS, names).responses
+    near = np.arange(len(data.u)) % 7 == 0
+    monkeypatch.setattr(linearization, "beside_reversals", lambda simulator, candidate, data: near)
+    for accelerated in (True, False):
+        monkeypatch.setattr(linearization, "accelerations", lambda simulator, a=accelerated: np.array([a]))
+        made = linearization._features(here, here.motion, data, LAWS, names).responses
+        assert np.any(whole[:, near]) and np.any(made[:, near]) != accelerated
+        assert np.array_equal(made[:, ~near], whole[:, ~near])

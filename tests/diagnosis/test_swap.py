@@ -139,6 +139,20 @@ def test_what_has_no_sure_size_any_more_gives_way_to_what_is_as_good(monkeypatch
     assert [one.reason for one in state.rejected] == ([] if sure else [Reason.UNCERTAIN])
 
 
+def test_a_law_with_more_than_is_needed_any_more_gives_way_to_the_simpler_one(monkeypatch, searched, right):
+    start, fit, (cubic, last) = right
+    pair = ["cubic_stiffness", "end_stop"]
+    monkeypatch.setattr(module, "needless", lambda wide, simple: [wide.name[0], simple.name[0]] == pair)
+    monkeypatch.setattr(module, "overall", lambda new, old: 1.0)
+    monkeypatch.setattr(module, "_most", lambda context, fit, noise_model: np.inf)
+    state = state_of(searched[0], start, fit, [cubic, last])
+    swap(searched[0], state)
+    assert names(state) == ["end_stop", "quadratic_drag"] and not state.accepted[0].rivals
+    (refused,) = state.rejected
+    assert (refused.effect, refused.reason) == ("cubic_stiffness", Reason.NEEDLESS)
+    assert "end_stop with a parameter that explains nothing" in refused.why
+
+
 def test_what_was_accepted_elsewhere_is_no_rival(searched, right):
     start, fit, (cubic, last) = right
     there = dataclasses.replace(cubic, rivals=(last.attempt, last.attempt), others=())
@@ -154,12 +168,21 @@ def test_a_law_is_called_as_its_contact_in_the_model_with_all_findings_has_it(se
     gap = np.quantile(np.abs(record_of(1).y), inside)
     here = fit.candidate.with_terms((Term(stop.effect, stop.place, np.array([30.0, gap])), drag))
     state = state_of(context, start, dataclasses.replace(fit, candidate=here), accepted)
-    module._call_by_contact(dataclasses.replace(context, catalogue=(*context.catalogue, GAP)), state)
+    module.call_by_contact(dataclasses.replace(context, catalogue=(*context.catalogue, GAP)), state)
     assert names(state) == [called, "quadratic_drag"]
     for made in (state.fit, *(one.attempt.fit for one in state.accepted)):
         assert made.candidate.terms[0].effect.id == called
     assert np.array_equal(state.fit.candidate.terms[0].values, [30.0, gap])
+    assert state.stage.candidate is state.fit.candidate or called == "end_stop"
+    # A law of that name at the place is another one.
+    other = Term(GAP, PLACE, np.array([10.0, gap]))
+    both = dataclasses.replace(fit, candidate=here.with_terms((here.terms[0], other)))
+    state = state_of(context, start, both, accepted)
+    last = module.called(dataclasses.replace(accepted[1].attempt, fit=both), GAP)
+    state.accepted[1] = dataclasses.replace(accepted[1], attempt=last)
+    module.call_by_contact(dataclasses.replace(context, catalogue=(*context.catalogue, GAP)), state)
+    assert names(state) == ["end_stop", "dead_zone_stiffness"]
     # Where the other name is not looked for, the law keeps its own.
     state = state_of(context, start, dataclasses.replace(fit, candidate=here), accepted)
-    module._call_by_contact(context, state)
+    module.call_by_contact(context, state)
     assert names(state) == ["end_stop", "quadratic_drag"]

@@ -342,14 +342,13 @@ def called_by_contact(context: SearchContext, candidate: Candidate, k: int) -> A
 def called(attempt: Attempt, law: AbstractEffect) -> Attempt:
     """The attempt under another name of the same law."""
     shape = dataclasses.replace(attempt.score.shape, effect=law)
-    fit = renamed(attempt.fit, -1, law)
+    fit = renamed(attempt.fit, attempt.name, law)
     return dataclasses.replace(attempt, fit=fit, score=dataclasses.replace(attempt.score, shape=shape))
 
 
-def renamed(fit: Refit, k: int, law: AbstractEffect) -> Refit:
-    """A refit with its k-th law under another name."""
-    terms = list(fit.candidate.terms)
-    terms[k] = Term(law, terms[k].place, terms[k].values)
+def renamed(fit: Refit, name: tuple[str, str], law: AbstractEffect) -> Refit:
+    """A refit with a law, given by effect and place, under another name where it is there."""
+    terms = [Term(law, t.place, t.values) if (t.effect.id, t.place.name) == name else t for t in fit.candidate.terms]
     return dataclasses.replace(fit, candidate=fit.candidate.with_terms(tuple(terms)))
 
 

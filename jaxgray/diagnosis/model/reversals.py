@@ -45,11 +45,29 @@ def undecided(
 
     **Arguments:** as for `decided_residual`; `e`: residual, zero where missing.
     """
-    jumping = [term for term in simulator.completed(candidate).terms if term.effect.jumps]
-    if not jumping or not bounded(e):
+    near = beside_reversals(simulator, candidate, data, record) if bounded(e) else None
+    if near is None:
         return None
-    accelerated = np.array([kind == "acceleration" for kind in simulator.setup.measured])
-    if not accelerated.any():
+    accelerated = accelerations(simulator)
+    away = data.kept & ~near[:, None]
+    level = np.sqrt(np.sum(np.where(away, e, 0.0) ** 2, axis=0) / np.maximum(away.sum(axis=0), 1))
+    left_out = near[:, None] & accelerated & (np.abs(e) > settings.OUTLYING_RESIDUAL * level)
+    share = np.mean(left_out[: data.samples].any(axis=1))
+    return left_out if 0.0 < share <= settings.MAX_UNDECIDED_SHARE else None
+
+
+def accelerations(simulator: Simulator) -> Bool[np.ndarray, " outputs"]:
+    """Which outputs are accelerations."""
+    return np.array([kind == "acceleration" for kind in simulator.setup.measured])
+
+
+def beside_reversals(
+    simulator: Simulator, candidate: Candidate, data: Data, record: int = 0
+) -> Bool[np.ndarray, " samples"] | None:
+    """Which samples lie beside a reversal of dry friction, or nearly; None where accelerations are not measured, or
+    nothing rubs."""
+    jumping = [term for term in simulator.completed(candidate).terms if term.effect.jumps]
+    if not jumping or not accelerations(simulator).any():
         return None
     v, plant = simulator.motion(candidate, data, record)[1], simulator.plant(candidate)
     if not bounded(v):
@@ -61,8 +79,4 @@ def undecided(
         turned = np.sign(along[1:]) != np.sign(along[:-1])
         near[:-1] |= turned
         near[1:] |= turned
-    away = data.kept & ~near[:, None]
-    level = np.sqrt(np.sum(np.where(away, e, 0.0) ** 2, axis=0) / np.maximum(away.sum(axis=0), 1))
-    left_out = near[:, None] & accelerated & (np.abs(e) > settings.OUTLYING_RESIDUAL * level)
-    share = np.mean(left_out[: data.samples].any(axis=1))
-    return left_out if 0.0 < share <= settings.MAX_UNDECIDED_SHARE else None
+    return near

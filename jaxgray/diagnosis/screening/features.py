@@ -30,10 +30,12 @@ from ...mechanics.runs.force_over_time import force_over_time
 from ...mechanics.runs.linearized import Linearized, answers
 from ...mechanics.systems.drives import Force
 from ...mechanics.systems.statespace import hold_matrices
+from ...numerics.matrices.bounded import bounded
 from ...numerics.programs.side_by_side import side_by_side
 from ...numerics.programs.stored_programs import ONCE, stored
 from ...numerics.responses.lifting import respond
 from ..model.candidate import Data
+from ..model.simulator import RUN_AWAY
 
 BATCH = 16
 """Responses are computed in multiples of so many, so that little is compiled."""
@@ -210,7 +212,9 @@ def _force_columns(shapes, plant, motion, data, outputs, run):
     arm = arm_of(Term(shapes[0].effect, shapes[0].place, np.zeros(0)), plant)
     forces = forces_of(shapes, plant, motion, data)
     if run is not None:
-        return _answers(run, -arm, forces, _next(forces), outputs, forced=True)
+        made = _answers(run, -arm, forces, _next(forces), outputs, forced=True)
+        if bounded(made[:, : data.samples]):
+            return _ended(made, data)
     return _responses(
         plant,
         -arm[:, None],
@@ -256,6 +260,13 @@ def _responses(plant, columns, start, end, time, outputs, *, forced, seen=None):
         ]
         y = _respond_many(plant, columns, *some, time, forced)
         made[part] = np.asarray(y)[: BATCH - pad, :, :outputs]
+    return made
+
+
+def _ended(made: np.ndarray, data: Data) -> np.ndarray:
+    """Responses that end with the record where they run away in the padding."""
+    size, beyond = (np.max(np.abs(X), axis=(1, 2), initial=0.0) for X in np.split(made, [data.samples], axis=1))
+    made[~(beyond / RUN_AWAY <= size), data.samples :] = 0.0
     return made
 
 
@@ -310,8 +321,9 @@ def _input_columns(shapes, plant, motion, data, outputs, run):
     first, last, seen = (*made, None)[:3]
     if run is not None:
         y = _answers(run, column[:, 0], first[:, :, 0], last[:, :, 0], outputs, forced=False)
-        fed = np.asarray(run.fed_input)[:outputs, j]
-        return y if seen is None else y + (seen - first) * fed
+        y = y if seen is None else y + (seen - first) * np.asarray(run.fed_input)[:outputs, j]
+        if bounded(y[:, : data.samples]):
+            return _ended(y, data)
     return _responses(plant, column, first, last, data.traced_sampling_time, outputs, forced=False, seen=seen)
 
 

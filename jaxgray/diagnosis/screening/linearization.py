@@ -13,7 +13,7 @@ from ...mechanics.systems.statespace import StateSpace, sampled
 from ...numerics.programs.stored_programs import ONCE, stored
 from ..model.candidate import Candidate, Data
 from ..model.own_laws import ParameterError, parameter_errors, wrong_number
-from ..model.reversals import decided_residual
+from ..model.reversals import accelerations, beside_reversals, decided_residual
 from ..model.simulator import Simulator
 from ..noise.smoother import smoothed_states
 from ..noise.whitening import NoiseModel, counted, estimate_noise_model
@@ -115,7 +115,7 @@ def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Fea
     made = features(
         stage.plant, motion, data, others, scales, inputs, outputs, known, hidden=hidden, run=run_about(stage, data)
     )
-    made = as_answered(stage, made, data)
+    made = _where_decided(stage, as_answered(stage, made, data), data)
     shapes, columns, column = [], [], {error.at: k for k, error in enumerate(parameter_errors(stage.own))}
     for effect in errors:
         owner = stage.own[effect.at[0]].place
@@ -128,6 +128,16 @@ def _features(stage: Stage, motion: Motion, data: Data, catalogue, names) -> Fea
         return made
     responses = np.concatenate([made.responses, np.moveaxis(stage.slopes[:, :, columns], 2, 0)])
     return Features((*made.shapes, *shapes), responses)
+
+
+def _where_decided(stage: Stage, made: Features, data: Data) -> Features:
+    """Features without the samples of accelerometers beside reversals, where a small force moves a jump in time: a peak
+    that says how often friction turns, and nothing of the force."""
+    near = None if stage.simulator is None else beside_reversals(stage.simulator, stage.candidate, data)
+    if near is None:
+        return made
+    left_out = near[:, None] & accelerations(stage.simulator)[: made.responses.shape[2]]
+    return Features(made.shapes, np.where(left_out, 0.0, made.responses))
 
 
 _runs: "weakref.WeakKeyDictionary[Stage, tuple[Data, Linearized | None]]" = weakref.WeakKeyDictionary()

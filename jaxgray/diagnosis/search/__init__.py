@@ -21,8 +21,9 @@ round:
               needless are dropped
     Swap      every law accepted before is compared again, in the model with the new one, with its class and with what
               was refitted in its round and explained less, or had no sure gain: the best one that holds there
-              replaces it. A law whose amplitude is no longer significant gives way to one as good that is. Then the
-              next round
+              replaces it. A law whose amplitude is no longer significant gives way to one as good that is, and one
+              whose further parameters explain nothing any more to the simpler law that it contains. Then the next
+              round
 
 If no candidate passes, the round goes on to further *moves*, in this order, until one succeeds:
 

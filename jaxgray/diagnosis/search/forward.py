@@ -302,11 +302,10 @@ def _becoming(context: SearchContext, state: SearchState, attempt: Attempt) -> l
 
 
 def _may_swap(context: SearchContext, attempt: Attempt, other: Attempt) -> bool:
-    """Whether another law is one of its own, neither more nor less of the same."""
-    one, two = attempt.score.shape.effect, other.score.shape.effect
-    same = one.id in two.contains or two.id in one.contains
+    """Whether another law is one of its own, no more of the same; less of it may be enough beside later laws."""
+    wider = attempt.name[0] in other.score.shape.effect.contains
     bound = at_bound(other.fit, len(other.fit.candidate.terms) - 1, context.simulator.setup.own)
-    return not same and bound is None and unresolved(other.fit, other.score) is None
+    return not wider and bound is None and unresolved(other.fit, other.score) is None
 
 
 def recount(context: SearchContext, state: SearchState, floor: np.ndarray) -> None:

@@ -28,6 +28,7 @@ from ..noise.whitening import white_noise_model
 from ..screening.linearization import screen_simulated
 from .forward import extend, select_forward
 from .state import SearchState, held_out_run
+from .swap import call_by_contact
 
 PART = 8192
 """Samples of each record that the search begins with."""
@@ -165,6 +166,7 @@ def _carried_over(context: SearchContext, start: Candidate, part: SearchState) -
         whole.accepted.append(dataclasses.replace(accepted, attempt=attempt, runs=runs))
         whole.fit, whole.runs = fit, runs
     whole.stage = stage_of_candidate(context, whole.fit.candidate)
+    call_by_contact(context, whole)
     return whole
 
 

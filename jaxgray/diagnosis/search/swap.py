@@ -44,26 +44,28 @@ def conclude(context: SearchContext, state: SearchState) -> None:
     """The last refits of all findings together: `swap`, and steps whose error cannot be told from noise."""
     with contextlib.suppress(BudgetSpent):
         swap(context, state)
-    _call_by_contact(context, state)
     if state.fit is not None:
         # Too small to change a decision, the error of the steps may still move values by more than their error bars.
         fine, _ = in_short_steps(context, state.fit)
         if fine is not state.fit and not _lost(context, state, fine):
             _go_on(context, state, fine)
+        call_by_contact(context, state)
 
 
-def _call_by_contact(context: SearchContext, state: SearchState) -> None:
+def call_by_contact(context: SearchContext, state: SearchState) -> None:
     """Call laws as the motion with all findings has them: beside other laws a gap has another width."""
     for k, accepted in enumerate(state.accepted if state.fit is not None else ()):
-        law = called_by_contact(context, state.fit.candidate, k)
-        if law.id == accepted.attempt.name[0]:
+        law, before = called_by_contact(context, state.fit.candidate, k), accepted.attempt.name
+        now = law.id, before[1]
+        if now == before or now in {one.attempt.name for one in state.accepted}:
             continue
-        state.fit = renamed(state.fit, k, law)
-        attempt = called(accepted.attempt, law)
-        rivals = tuple(rival for rival in accepted.rivals if rival.name != attempt.name)
-        state.accepted[k] = dataclasses.replace(accepted, attempt=attempt, rivals=rivals)
+        state.fit = renamed(state.fit, before, law)
+        state.stage = dataclasses.replace(state.stage, candidate=state.fit.candidate)
+        state.rejected = [one for one in state.rejected if (one.effect, one.location) != now]
+        rivals = tuple(rival for rival in accepted.rivals if rival.name != now)
+        state.accepted[k] = dataclasses.replace(accepted, attempt=called(accepted.attempt, law), rivals=rivals)
         for j, later in enumerate(state.accepted[k + 1 :], k + 1):
-            attempt = dataclasses.replace(later.attempt, fit=renamed(later.attempt.fit, k, law))
+            attempt = dataclasses.replace(later.attempt, fit=renamed(later.attempt.fit, before, law))
             state.accepted[j] = dataclasses.replace(later, attempt=attempt)
 
 
@@ -97,7 +99,9 @@ def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
     able = [member for member in members if _may_stand(context, state, member, k, farthest)]
     best = min(able, key=lambda member: member.criterion, default=own_place)
     if best is own_place or here - best.criterion < alike(best, own_place) * (1 if sure else -1):
-        best = own_place
+        # A simpler law stands for it where later ones have taken upon themselves what it has beyond that.
+        simpler = [member for member in able if needless(own_place, member)]
+        best = min(simpler, key=lambda member: member.criterion, default=own_place)
     rivals, others = [], []
     for member in sorted((own_place, *members), key=lambda member: member.criterion):
         behind = member.criterion - best.criterion
@@ -112,6 +116,11 @@ def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
         why = Refusal(Reason.EXPLAINED_BETTER, words)
         if unsure:
             why = Refusal(Reason.UNCERTAIN, "of no sure size once the others are in the model")
+        elif needless(member, best):
+            words = (
+                f"the same as {best.name[0]} with a parameter that explains nothing once the others are in the model"
+            )
+            why = Refusal(Reason.NEEDLESS, words)
         elif behind < 0:
             words = "beside the others of no sure size, at a bound, or farther from held-out data"
             why = Refusal(Reason.UNCERTAIN, words)

@@ -1,4 +1,5 @@
-"""Look-alikes of the best law of a round that were not among those tried, refitted from where its refit ended."""
+"""Look-alikes of the best law of a round that were not among those tried, refitted from where its refit ended, and that
+law at other places, from there and from the model without it."""
 
 import numpy as np
 
@@ -24,17 +25,18 @@ def untried_look_alikes(
     Of the laws that differ in their name alone, one is tried at a place; `tried`: laws and places of the round so far.
     """
     listed, known = [], set(tried)
+    tables = closer.scores, screening.scores, screening.white
     for effect_id in sorted(ids):
+        found = [next((score for score in table if score.shape.effect.id == effect_id), None) for table in tables]
+        found = [score for score in found if score is not None and score.delta_bic >= settings.MIN_DELTA_BIC]
+        found = found or [best_by_place(table).get((effect_id, best.name[1])) for table in tables]
         scores: list[Score] = []
-        for table in (closer.scores, screening.scores, screening.white):
-            one = next((score for score in table if score.shape.effect.id == effect_id), None)
-            if one is None or one.delta_bic < settings.MIN_DELTA_BIC:
-                one = best_by_place(table).get((effect_id, best.name[1]))
-            same = one is not None and (not scores or scores[0].shape.place.name == one.shape.place.name)
-            if same and not any(same_start(one, other) for other in scores):
-                scores.append(one)
+        for score in filter(None, found):
+            same = not scores or scores[0].shape.place.name == score.shape.place.name
+            if same and not any(same_start(score, other) for other in scores):
+                scores.append(score)
         place = scores[0].shape.place.name if scores else ""
-        if not scores or any((name, place) in known for name in (effect_id, *scores[0].shape.effect.by_contact)):
+        if not scores or any((name, place) in known for name in scores[0].shape.effect.by_contact):
             continue
         known.add((effect_id, place))
         listed.append(scores[:2])
@@ -70,7 +72,8 @@ def as_likely_places(best: Attempt, screening: Screening, closer: Screening) -> 
         here = table.best_by_place()
         own = here.get(best.name)
         for name, score in here.items():
-            if name[0] == effect.id and own and score.delta_bic > own.delta_bic - settings.MAX_CRITERION_GAP:
+            near = own and score.delta_bic > max(own.delta_bic - settings.MAX_CRITERION_GAP, settings.MIN_DELTA_BIC)
+            if name[0] == effect.id and near:
                 found.setdefault(name, score)
     return list(found.values()) if len(found) > 1 else []
 

@@ -1,7 +1,7 @@
 """A run with added forces, linearised about its own motion: what it answers to small further forces and inputs.
 
 The linear plant alone answers otherwise: where dry friction holds, a small force moves nothing, and a hardening spring
-is stiffer where it is bent. Exact, as differentiating through the run would be.
+is stiffer where it is bent. Exact in the steps of the run, as differentiating through it would be.
 """
 
 import equinox as eqx
