@@ -1,6 +1,5 @@
 """Laws that can imitate one another: one that went astray is begun where the other ended."""
 
-import dataclasses
 import zlib
 from types import SimpleNamespace
 
@@ -14,7 +13,7 @@ from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
 from jaxgray.diagnosis.model.simulator import Simulator
 from jaxgray.diagnosis.screening.features import Shape
-from jaxgray.diagnosis.starts.force_matching import _imitating, _left
+from jaxgray.diagnosis.starts.force_matching import _left, imitating
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Scales, Term
 
@@ -63,17 +62,24 @@ def test_a_law_begins_where_it_is_the_other_one_and_where_it_differs_most_but_ca
 
     def shape(length):
         values = np.array([1.0, length * most])
-        return SimpleNamespace(shape=Shape(sine, place, values, (values,), 1, SimpleNamespace()))
+        return Shape(sine, place, values, (values,), 1, SimpleNamespace())
 
-    context, fit = SimpleNamespace(simulator=simulator, data=[data]), SimpleNamespace(candidate=candidate)
-    near, apart = _imitating(context, fit, [shape(length) for length in (0.1, 0.5, 4.0, 1.0)])
+    context = SimpleNamespace(simulator=simulator, data=[data])
+    near, apart = imitating(context, candidate, (0,), [shape(length) for length in (0.1, 0.5, 4.0, 1.0)])
     lengths = [float(start.candidate.terms[-1].values[1]) / most for start in (near, apart)]
-    assert lengths == pytest.approx([4.0, 0.5]) and near.left < apart.left < 0.2
+    assert (
+        lengths == pytest.approx([4.0, 0.5]) and near.left < apart.left < 0.2 and (near.number, apart.number) == (2, 1)
+    )
     for start in (near, apart):
         # Of the spring that softens, and of what it leaves to the linear one, the sum is as stiff about rest.
         k, length = start.candidate.terms[-1].values
         before, now = (float(baseline.setup.matrices(c.entries)[2][0, 0]) for c in (candidate, start.candidate))
         assert now + k / length == pytest.approx(before, rel=0.1)
-    assert _imitating(context, fit, [shape(0.1)]) == []
-    mirrored = dataclasses.replace(candidate, terms=(Term(sine, place, np.array([1.0, 0.1 * most])),))
-    assert _imitating(context, SimpleNamespace(candidate=mirrored), [shape(4.0)]) == []
+    assert imitating(context, candidate, (0,), [shape(0.1)]) == []
+    # Two of them, between which another law stands, as their sum.
+    (cubed,) = candidate.terms
+    friction = Term(by_id("coulomb_friction"), place, np.array([0.1, 1e-3]))
+    half = Term(cubic, place, cubed.values / 2)
+    both = imitating(context, candidate.with_terms((half, friction, half)), (0, 2), [shape(0.5)])
+    assert [term.effect.id for term in both[0].candidate.terms] == ["coulomb_friction", "sine_stiffness"]
+    assert both[0].candidate.terms[-1].values == pytest.approx(apart.candidate.terms[-1].values, rel=0.1)

@@ -5,10 +5,11 @@ brings them there, and that law gets the credit.
 """
 
 import dataclasses
+import itertools
 
 import numpy as np
 
-from ...mechanics.effects.base import Term
+from ...mechanics.effects.base import AbstractForceEffect, Term
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.gauss_newton import Refit, refit, with_states
@@ -17,12 +18,17 @@ from ..estimation.significance import evidence, significance
 from ..findings import NEEDLESS_NOW, Reason, Refusal, Rejected
 from ..model.candidate import Candidate
 from ..model.parameter_vector import Layout
+from ..screening.features import Shape
+from ..starts.force_matching import imitating
+from .confusable import resemble
 from .state import SearchState, held_out_run
 
 
 def prune(context: SearchContext, state: SearchState) -> None:
-    """Make one law of the newest and of what it contains, and drop the terms that the newer ones have made needless."""
+    """Make one law of the newest and of what it contains or resembles, and drop the terms that the newer ones have made
+    needless."""
     _unite(context, state)
+    _unite_alike(context, state)
     while len(state.accepted) > 1 and _dropped(context, state):
         pass
 
@@ -57,6 +63,55 @@ def _unite(context: SearchContext, state: SearchState) -> None:
     _take(context, state, fit)
     if k == len(state.accepted) - 1:
         _credit(state, 0.0)
+
+
+def _unite_alike(context: SearchContext, state: SearchState) -> None:
+    """Let one law stand for two that resemble each other where both act: two springs that harden may have stood for a
+    third while another law was missing. Begun where it imitates both."""
+    terms = state.fit.candidate.terms
+    for i, j in itertools.combinations(range(len(terms)), 2):
+        one, two = terms[i], terms[j]
+        forces = isinstance(one.effect, AbstractForceEffect) and isinstance(two.effect, AbstractForceEffect)
+        if (
+            forces
+            and one.place == two.place
+            and resemble(one.effect, two.effect)
+            and _one_for_both(context, state, i, j)
+        ):
+            return
+
+
+def _one_for_both(context: SearchContext, state: SearchState, i: int, j: int) -> bool:
+    """Put one law in the place of the i-th and the j-th where it explains as much; whether one does."""
+    terms, (gone, kept) = state.fit.candidate.terms, (state.accepted[i], state.accepted[j])
+    scales, place, found = kept.attempt.score.shape.scales, terms[j].place, []
+    taken = {t.effect.id for k, t in enumerate(terms) if k not in (i, j) and t.place == place}
+    for law in (law for law in context.catalogue if resemble(law, terms[j].effect) and law.id not in taken):
+        values = [np.asarray(one, dtype=float) for one in law.shapes(scales)]
+        shapes = [Shape(law, place, one, tuple(law.basis(one)), scales, 1) for one in values]
+        context.progress.stage(f"refitting {law.id} at {place.name}")
+        for start in imitating(context, state.fit.candidate, (i, j), shapes):
+            made = _instead(context, state, start.candidate)
+            if made is not None and law.unresolved(np.array(made[0].candidate.terms[j - 1].values), scales) is None:
+                fewer = gone.attempt.score.shape.free + kept.attempt.score.shape.free - shapes[0].free
+                found.append((made[1] - fewer * np.log(made[2]), shapes[0], made[0]))
+    change, shape, fit = min(found, key=lambda one: one[0], default=(np.inf, None, None))
+    if change >= settings.MIN_DELTA_BIC:
+        return False
+    name = shape.effect.id, place.name
+    why = Refusal(Reason.NEEDLESS, f"part of {shape.effect.id}, which explains as much as both")
+    state.rejected = [one for one in state.rejected if (one.effect, one.location) != name]
+    was = [one.attempt.name for one in (gone, kept) if one.attempt.name != name]
+    state.rejected += [Rejected.of(one, change, why) for one in was]
+    worth = float(gone.attempt.delta_bic + kept.attempt.delta_bic - change)
+    score = dataclasses.replace(kept.attempt.score, shape=shape)
+    attempt = dataclasses.replace(kept.attempt, score=score, delta_bic=worth)
+    del state.accepted[i]
+    state.accepted[j - 1] = dataclasses.replace(kept, attempt=attempt, rivals=(), others=())
+    _take(context, state, fit)
+    if j == len(terms) - 1:
+        _credit(state, 0.0)
+    return True
 
 
 def _sum_of(wide: Term, simple: Term) -> Term:

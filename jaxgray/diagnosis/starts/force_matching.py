@@ -16,7 +16,7 @@ from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of
 from ..estimation.continuation import ROUGH, refit_to_convergence
-from ..estimation.gauss_newton import Refit, refit
+from ..estimation.gauss_newton import refit
 from ..estimation.multistart import Attempt, by_contact, criterion_of, unresolved
 from ..findings import Reason, Refusal, Rejected
 from ..model.candidate import Candidate
@@ -56,53 +56,65 @@ def force_matched(
         arms = (arm_of(one, plant) for one in (term, Term(score.shape.effect, score.shape.place, np.zeros(0))))
         if np.allclose(*arms, atol=SAME_ARM):
             scores.setdefault(name, {}).setdefault(score.shape.values.tobytes(), score)
-    found = [_imitating(context, best.fit, list(scores[name].values())) for name in sorted(scores)]
-    near = sorted((starts for starts in found if starts), key=lambda starts: starts[0].left)[:NEARBY]
+    last, found = (len(best.fit.candidate.terms) - 1,), []
+    for name in sorted(scores):
+        here = list(scores[name].values())
+        starts = imitating(context, best.fit.candidate, last, [score.shape for score in here])
+        found += [[(here[start.number], start) for start in starts]] if starts else []
+    near = sorted(found, key=lambda starts: starts[0][1].left)[:NEARBY]
     ends = side_by_side(lambda starts: _refit_from(context, best, starts), near)
     rejected += [end for end in ends if isinstance(end, Rejected)]
     return [end for end in ends if isinstance(end, Attempt)]
 
 
 @dataclass(frozen=True)
-class _Start:
-    """What a shape of a law leaves of the force of another law, relative to what a spring and a damper do; its score;
-    the model with it in the other's place."""
+class Start:
+    """What a shape of a law leaves of the force of others, relative to what a spring and a damper do; its number among
+    those that were tried; the model with it in the place of the others."""
 
     left: float
-    score: Score
+    number: int
     candidate: Candidate
 
 
-def _imitating(context: SearchContext, fit: Refit, scores: list[Score]) -> list[_Start]:
-    """Of a law's shapes that can imitate the last term of a refit the nearest, and the one that differs most: the
-    nearest may be the other law, with nothing that tells them apart to go on from."""
-    data, term = context.data[0], fit.candidate.terms[-1]
-    plant, setup = context.simulator.plant(fit.candidate), context.simulator.setup
-    q, v = context.simulator.motion(fit.candidate, data)
-    arm, motion = np.asarray(arm_of(term, plant)), Motion(q, v, q)
-    own = Shape(term.effect, term.place, np.array(term.values), (np.array(term.values),), scores[0].shape.scales, 1)
+def imitating(
+    context: SearchContext, candidate: Candidate, others: tuple[int, ...], shapes: list[Shape]
+) -> list[Start]:
+    """Of a law's shapes that can imitate some force laws together, all along one arm, the nearest, and the one that
+    differs most: the nearest may be another law, with nothing that tells them apart to go on from.
+
+    **Arguments:** `context`; `candidate`; `others`: positions of the laws among its terms, the last of which the law
+    stands for; `shapes`: of one law at one place.
+    """
+    data, terms = context.data[0], [candidate.terms[k] for k in others]
+    plant, setup = context.simulator.plant(candidate), context.simulator.setup
+    q, v = context.simulator.motion(candidate, data)
+    arm, motion = np.asarray(arm_of(terms[-1], plant)), Motion(q, v, q)
     # At the coordinate, or at the input that acts there: each sees what is at its own place.
-    made = [forces_of(shapes, plant, motion, data) for shapes in ([own], [score.shape for score in scores])]
-    made = np.concatenate(made)[:, : data.samples]
+    own = [Shape(t.effect, t.place, np.array(t.values), (np.array(t.values),), shapes[0].scales, 1) for t in terms]
+    target = sum(forces_of([shape], plant, motion, data)[0, : data.samples] for shape in own)
+    made = forces_of(shapes, plant, motion, data)[:, : data.samples]
     plain = np.stack([q @ arm, v @ arm])[:, : data.samples]
     size = np.maximum(np.linalg.norm(plain, axis=1), 1e-300)
-    bare = max(_left(plain / size[:, None], made[0])[0], 1e-300)
-    M, D, K = (np.asarray(X) for X in setup.matrices(fit.candidate.entries))
+    bare = max(_left(plain / size[:, None], target)[0], 1e-300)
+    M, D, K = (np.asarray(X) for X in setup.matrices(candidate.entries))
     line = np.outer(arm, arm)[: setup.dofs, : setup.dofs]
-    starts, at = [], 1
-    for score in scores:
-        columns = made[at : at + len(score.shape.basis)]
+    starts, at = [], 0
+    for number, shape in enumerate(shapes):
+        columns = made[at : at + len(shape.basis)]
         at += len(columns)
         scale = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
         if not np.all(np.isfinite(columns)):
             continue
-        left, weights = _left(np.concatenate([plain / size[:, None], columns / scale[:, None]]), made[0])
+        left, weights = _left(np.concatenate([plain / size[:, None], columns / scale[:, None]]), target)
         if left < settings.MATCHED_FORCE * bare:
             stiffness, damping = weights[:2] / size
             entries = setup.entries_of(M, D + damping * line, K + stiffness * line)
-            terms = (*fit.candidate.terms[:-1], score.shape.term(weights[2:] / scale))
-            candidate = dataclasses.replace(fit.candidate, entries=entries, terms=terms)
-            starts.append(_Start(left / bare, score, candidate))
+            kept = [term for k, term in enumerate(candidate.terms) if k not in others[:-1]]
+            kept[others[-1] - len(others) + 1] = shape.term(weights[2:] / scale)
+            starts.append(
+                Start(left / bare, number, dataclasses.replace(candidate, entries=entries, terms=tuple(kept)))
+            )
     starts.sort(key=lambda start: start.left)
     return [starts[0], starts[-1]] if len(starts) > 1 else starts
 
@@ -113,24 +125,24 @@ def _left(rows: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.linalg.norm(target - weights @ rows)), weights
 
 
-def _refit_from(context: SearchContext, best: Attempt, starts: list[_Start]) -> Attempt | Rejected | None:
+def _refit_from(context: SearchContext, best: Attempt, starts: list[tuple[Score, Start]]) -> Attempt | Rejected | None:
     """The refit of a law from where it imitates the best one, or that it ends as another; None where far behind."""
-    shape = starts[0].score.shape
+    shape = starts[0][0].shape
     context.progress.stage(f"refitting {shape.effect.id} at {shape.place.name}")
     options = {"held": context.held, "tolerance": ROUGH}
     again = refit(context.simulator, best.fit.candidate, context.data, best.noise_model, max_steps=3, **options)
     most = criterion_of(context, best.score, best.fit if again is None else again) + settings.MAX_CRITERION_GAP
     other_law, ends = None, []
-    for start in starts:
+    for score, start in starts:
         fit = refit(context.simulator, start.candidate, context.data, best.noise_model, max_steps=10, **options)
-        if fit is None or criterion_of(context, start.score, fit) > most:
+        if fit is None or criterion_of(context, score, fit) > most:
             continue
         end = refit_to_convergence(context, fit)
-        other_law = unresolved(end, start.score)
-        ends += [Attempt(start.score, end, noise_model_of(context, end))] if other_law is None else []
+        other_law = unresolved(end, score)
+        ends += [Attempt(score, end, noise_model_of(context, end))] if other_law is None else []
     if ends:
         return by_contact(context, min(ends, key=lambda end: end.noise_model.cost))
     if other_law is None:
         return None
     why = Refusal(Reason.OTHER_LAW, other_law)
-    return Rejected.of((shape.effect.id, shape.place.name), starts[0].score.delta_bic, why)
+    return Rejected.of((shape.effect.id, shape.place.name), starts[0][0].delta_bic, why)
