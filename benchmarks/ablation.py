@@ -77,10 +77,12 @@ RULES = (
     Rule("starts.force_matching", "force_matched", empty(list)),
     Rule("starts.lookalikes", "refit_look_alikes", empty(list)),
     Rule("starts.lookalikes", "at_other_places", empty(list)),
+    Rule("starts.lookalikes", "as_likely_places", empty(list)),
     Rule("starts.lookalikes", "contained_laws", empty(list)),
     Rule("starts.other_models", "from_other_models", empty(list)),
     Rule("starts.residual_modes", "hidden_modes", empty(list)),
     Rule("starts.windows", "changes_over_time", empty(dict)),
+    Rule("screening.linearization", "run_about", fixed(None)),
     Rule("screening.shortlist", "in_other_forms", empty(list)),
     Rule("screening.shortlist", "at_lines", empty(list)),
     Rule("screening.spectral_lines", "lines_of", empty(tuple)),
@@ -92,9 +94,11 @@ RULES = (
     Rule("search.forward", "_refuted", fixed(False)),
     Rule("search.forward", "_provisional", fixed(False)),
     Rule("search.backward", "_unite", fixed(None), "state"),
+    Rule("search.backward", "_unite_alike", fixed(None), "state"),
     Rule("search.backward", "_dropped", fixed(False)),
     Rule("search.restart", "for_the_free_run", fixed(None), "state"),
     Rule("search.swap", "swap", fixed(None), "state"),
+    Rule("search.swap", "call_by_contact", fixed(None), "state"),
 )
 
 

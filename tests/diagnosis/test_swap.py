@@ -18,11 +18,12 @@ from jaxgray.diagnosis.model.simulator import Simulator, Steps
 from jaxgray.diagnosis.noise.whitening import white_noise_model
 from jaxgray.diagnosis.screening.features import Shape
 from jaxgray.diagnosis.screening.score_test import Score
+from jaxgray.diagnosis.search import backward
 from jaxgray.diagnosis.search import swap as module
 from jaxgray.diagnosis.search.state import Accepted, SearchState, held_out_run
 from jaxgray.diagnosis.search.swap import swap
 from jaxgray.mechanics.effects import by_id
-from jaxgray.mechanics.effects.base import Place, Term
+from jaxgray.mechanics.effects.base import Place, Scales, Term
 from jaxgray.numerics.progress import Silent
 
 M, D, K, H, SAMPLES, PLACE = 1.0, 0.6, 40.0, 0.05, 600, Place("y1", 0)
@@ -186,3 +187,34 @@ def test_a_law_is_called_as_its_contact_in_the_model_with_all_findings_has_it(se
     state = state_of(context, start, dataclasses.replace(fit, candidate=here), accepted)
     module.call_by_contact(context, state)
     assert names(state) == ["end_stop", "quadratic_drag"]
+
+
+def test_two_laws_that_resemble_each_other_give_way_to_one_that_explains_as_much(searched):
+    context, accepted, start, fit = searched
+    quantiles = tuple(np.quantile(np.abs(record_of(1).y), (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)))
+    scales = Scales(0.5, 1.0, 1.0, 2.0, quantiles, 1.0, 1.0, quantiles, 1.0, 1.0, H, H * SAMPLES, (1.0,))
+
+    def found(law):
+        values = np.ones(len(law.parameters))
+        shape = Shape(law, PLACE, values, (values,), scales, 1)
+        attempt = dataclasses.replace(accepted[0].attempt, fit=fit)
+        return Accepted(
+            dataclasses.replace(attempt, score=dataclasses.replace(attempt.score, shape=shape)), (), None, []
+        )
+
+    # A spring that hardens, split between a cubic one and an end stop.
+    terms = (Term(CUBIC, PLACE, np.array([12.0])), fit.candidate.terms[1], fit.candidate.terms[0])
+    both = refit(context.simulator, fit.candidate.with_terms(terms), context.data, noise_model_of(context, fit))
+    state = state_of(context, start, both, [found(CUBIC), found(DRAG), found(STOP)])
+    backward._unite_alike(context, state)
+    assert names(state) == ["quadratic_drag", "cubic_stiffness"]
+    assert [term.effect.id for term in state.fit.candidate.terms] == names(state)
+    assert [float(term.values[0]) for term in state.fit.candidate.terms] == pytest.approx([0.4, 25.0], rel=0.1)
+    (refused,) = state.rejected
+    assert (refused.effect, refused.reason) == ("end_stop", Reason.NEEDLESS) and state.accepted[
+        -1
+    ].attempt.fit is state.fit
+    # Drag resembles neither, and each law explains something of its own.
+    before = state.fit
+    backward._unite_alike(context, state)
+    assert state.fit is before

@@ -17,8 +17,8 @@ round:
               the residual in excess of the noise; and it gains on held-out data, with 99 % certainty
     Compare   candidates whose BIC differs from that of the accepted one by less than 6 (if one resembles the other, by
               less than 10) cannot be told from it: they are its equivalence class
-    Prune     a law accepted before that the new one contains becomes part of it; laws that the new one has made
-              needless are dropped
+    Prune     a law accepted before that the new one contains becomes part of it; one law takes the place of two that
+              resemble each other, at one place, if it explains as much; laws that have become needless are dropped
     Swap      every law accepted before is compared again, in the model with the new one, with its class and with what
               was refitted in its round and explained less, or had no sure gain: the best one that holds there
               replaces it. A law whose amplitude is no longer significant gives way to one as good that is, and one
