@@ -13,7 +13,7 @@ from ...mechanics.effects.base import AbstractForceEffect, Term
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.gauss_newton import Refit, refit, with_states
-from ..estimation.multistart import moving
+from ..estimation.multistart import moving, shape_penalty
 from ..estimation.significance import evidence, significance
 from ..findings import NEEDLESS_NOW, Reason, Refusal, Rejected
 from ..model.candidate import Candidate
@@ -72,12 +72,8 @@ def _unite_alike(context: SearchContext, state: SearchState) -> None:
     for i, j in itertools.combinations(range(len(terms)), 2):
         one, two = terms[i], terms[j]
         forces = isinstance(one.effect, AbstractForceEffect) and isinstance(two.effect, AbstractForceEffect)
-        if (
-            forces
-            and one.place == two.place
-            and resemble(one.effect, two.effect)
-            and _one_for_both(context, state, i, j)
-        ):
+        alike = forces and one.place == two.place and resemble(one.effect, two.effect)
+        if alike and _one_for_both(context, state, i, j):
             return
 
 
@@ -88,26 +84,34 @@ def _one_for_both(context: SearchContext, state: SearchState, i: int, j: int) ->
     taken = {t.effect.id for k, t in enumerate(terms) if k not in (i, j) and t.place == place}
     for law in (law for law in context.catalogue if resemble(law, terms[j].effect) and law.id not in taken):
         values = [np.asarray(one, dtype=float) for one in law.shapes(scales)]
-        shapes = [Shape(law, place, one, tuple(law.basis(one)), scales, 1) for one in values]
+        shapes = [Shape(law, place, one, tuple(law.basis(one)), scales, len(values)) for one in values]
         context.progress.stage(f"refitting {law.id} at {place.name}")
         for start in imitating(context, state.fit.candidate, (i, j), shapes):
             made = _instead(context, state, start.candidate)
             if made is not None and law.unresolved(np.array(made[0].candidate.terms[j - 1].values), scales) is None:
                 fewer = gone.attempt.score.shape.free + kept.attempt.score.shape.free - shapes[0].free
                 found.append((made[1] - fewer * np.log(made[2]), shapes[0], made[0]))
-    change, shape, fit = min(found, key=lambda one: one[0], default=(np.inf, None, None))
-    if change >= settings.MIN_DELTA_BIC:
+    found = sorted(found, key=lambda one: one[0])
+    if not found or found[0][0] >= settings.MIN_DELTA_BIC:
         return False
+    change, shape, fit = found[0]
     name = shape.effect.id, place.name
     why = Refusal(Reason.NEEDLESS, f"part of {shape.effect.id}, which explains as much as both")
     state.rejected = [one for one in state.rejected if (one.effect, one.location) != name]
     was = [one.attempt.name for one in (gone, kept) if one.attempt.name != name]
     state.rejected += [Rejected.of(one, change, why) for one in was]
     worth = float(gone.attempt.delta_bic + kept.attempt.delta_bic - change)
-    score = dataclasses.replace(kept.attempt.score, shape=shape)
-    attempt = dataclasses.replace(kept.attempt, score=score, delta_bic=worth)
+
+    def attempt(shape, **more):
+        score = dataclasses.replace(kept.attempt.score, shape=shape)
+        penalty = shape_penalty(context, score)
+        return dataclasses.replace(kept.attempt, score=score, penalty=penalty, delta_bic=worth, **more)
+
+    # What explains as much in their place is compared with it at the end.
+    near = {one.effect.id: (one, fit) for change, one, fit in reversed(found) if change < settings.MIN_DELTA_BIC}
+    rivals = [attempt(one, fit=fit, criterion=np.inf) for law, (one, fit) in near.items() if law != name[0]]
     del state.accepted[i]
-    state.accepted[j - 1] = dataclasses.replace(kept, attempt=attempt, rivals=(), others=())
+    state.accepted[j - 1] = dataclasses.replace(kept, attempt=attempt(shape), rivals=tuple(rivals), others=())
     _take(context, state, fit)
     if j == len(terms) - 1:
         _credit(state, 0.0)
