@@ -83,7 +83,8 @@ def _one_for_both(context: SearchContext, state: SearchState, i: int, j: int) ->
     scales, place, found = kept.attempt.score.shape.scales, terms[j].place, []
     taken = {t.effect.id for k, t in enumerate(terms) if k not in (i, j) and t.place == place}
     for law in (law for law in context.catalogue if resemble(law, terms[j].effect) and law.id not in taken):
-        values = [np.asarray(one, dtype=float) for one in law.shapes(scales)]
+        own = (terms[k].values for k in (i, j) if terms[k].effect.id == law.id)
+        values = [np.asarray(one, dtype=float) for one in (*law.shapes(scales), *own)]
         shapes = [Shape(law, place, one, tuple(law.basis(one)), scales, len(values)) for one in values]
         context.progress.stage(f"refitting {law.id} at {place.name}")
         for start in imitating(context, state.fit.candidate, (i, j), shapes):
