@@ -1,6 +1,7 @@
 """An earlier finding compared once more with what was refitted beside it, in the model with later findings."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from jaxgray.diagnosis.model.simulator import Simulator, Steps
 from jaxgray.diagnosis.noise.whitening import white_noise_model
 from jaxgray.diagnosis.screening.features import Shape
 from jaxgray.diagnosis.screening.score_test import Score
-from jaxgray.diagnosis.search import backward
+from jaxgray.diagnosis.search import backward, forward
 from jaxgray.diagnosis.search import swap as module
 from jaxgray.diagnosis.search.state import Accepted, SearchState, held_out_run
 from jaxgray.diagnosis.search.swap import swap
@@ -218,3 +219,26 @@ def test_two_laws_that_resemble_each_other_give_way_to_one_that_explains_as_much
     before = state.fit
     backward._unite_alike(context, state)
     assert state.fit is before
+
+
+def test_a_simpler_law_that_a_finding_contains_is_compared_with_it_beside_later_ones(searched):
+    context, accepted, _, fit = searched
+    wide, simple, other = (by_id(name) for name in ("asymmetric_friction", "coulomb_friction", "quadratic_drag"))
+
+    def score(law):
+        values = np.full(len(law.parameters), 0.5)
+        return Score(Shape(law, PLACE, values, (values,), None, 1), np.ones(1), 0.0, 7.0, 0.0, 0.0, 0)
+
+    term = Term(wide, PLACE, np.arange(1.0, 1.0 + len(wide.parameters)))
+    here = dataclasses.replace(fit, candidate=fit.candidate.with_terms((*fit.candidate.terms, term)))
+    attempt = dataclasses.replace(accepted[0].attempt, score=score(wide), fit=here)
+    seen = {(law.id, "y1"): score(law) for law in (simple, other)}
+    state = SimpleNamespace(screening=SimpleNamespace(best_by_place=lambda: seen))
+    (found,) = forward._becoming(context, state, attempt)
+    last = found.fit.candidate.terms[-1]
+    assert found.name == ("coulomb_friction", "y1") and last.effect.id == "coulomb_friction"
+    own = dict(zip((p.name for p in wide.parameters), term.values))
+    assert [float(v) for v in last.values] == [own[p.name] for p in simple.parameters]
+    # Where the record does not show it, there is nothing to begin with.
+    del seen["coulomb_friction", "y1"]
+    assert forward._becoming(context, state, attempt) == []

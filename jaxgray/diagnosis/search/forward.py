@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 
-from ...mechanics.effects.base import AbstractEffect
+from ...mechanics.effects.base import AbstractEffect, Term
 from ...numerics.programs.runtime import relieve
 from ...numerics.progress import BudgetSpent
 from .. import settings
@@ -288,12 +288,16 @@ def _class_of(
 
 
 def _becoming(context: SearchContext, state: SearchState, attempt: Attempt) -> list[Attempt]:
-    """What an attempt may turn out to be once other laws are there, beginning where the score test has it."""
+    """What an attempt may turn out to be once other laws are there, beginning where the score test has it, and simpler
+    laws that it contains and that may be enough by then, with its own values."""
     found, term = [], attempt.fit.candidate.terms[-1]
-    known = state.screening.best_by_place()
-    for name in ((law, term.place.name) for law in term.effect.becomes):
-        if name in known:
+    known, own = state.screening.best_by_place(), dict(zip((p.name for p in term.effect.parameters), term.values))
+    for law in (*term.effect.becomes, *term.effect.contains):
+        if (name := (law, term.place.name)) in known:
             one = known[name].shape.term(known[name].weights)
+            if law in term.effect.contains:
+                values = [own.get(p.name, value) for p, value in zip(one.effect.parameters, one.values)]
+                one = Term(one.effect, one.place, one.effect.bounded(np.array(values, dtype=float)))
             candidate = attempt.fit.candidate.with_terms((*attempt.fit.candidate.terms[:-1], one))
             fit, score = dataclasses.replace(attempt.fit, candidate=candidate), known[name]
             worth = {"penalty": shape_penalty(context, score), "delta_bic": score.delta_bic}
