@@ -239,6 +239,12 @@ def test_a_simpler_law_that_a_finding_contains_is_compared_with_it_beside_later_
     assert found.name == ("coulomb_friction", "y1") and last.effect.id == "coulomb_friction"
     own = dict(zip((p.name for p in wide.parameters), term.values))
     assert [float(v) for v in last.values] == [own[p.name] for p in simple.parameters]
+    # What explained more to first order, too.
+    stribeck = by_id("stribeck_friction")
+    seen |= {(law.id, "y1"): dataclasses.replace(score(law), delta_bic=9.0) for law in (other, stribeck)}
+    seen["asymmetric_friction", "y1"] = dataclasses.replace(score(wide), delta_bic=8.0)
+    names = [one.name[0] for one in forward._becoming(context, state, attempt)]
+    assert names == ["coulomb_friction", "quadratic_drag", "stribeck_friction"]
     # Where the record does not show it, there is nothing to begin with.
-    del seen["coulomb_friction", "y1"]
+    del seen["coulomb_friction", "y1"], seen["quadratic_drag", "y1"], seen["stribeck_friction", "y1"]
     assert forward._becoming(context, state, attempt) == []

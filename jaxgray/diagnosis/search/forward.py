@@ -288,21 +288,24 @@ def _class_of(
 
 
 def _becoming(context: SearchContext, state: SearchState, attempt: Attempt) -> list[Attempt]:
-    """What an attempt may turn out to be once other laws are there, beginning where the score test has it, and simpler
-    laws that it contains and that may be enough by then, with its own values."""
+    """What may take the place of an attempt once other laws are there: what it may turn out to be, simpler laws that it
+    contains, with its own values, and what explained more to first order. Begun where the score test has it."""
     found, term = [], attempt.fit.candidate.terms[-1]
     known, own = state.screening.best_by_place(), dict(zip((p.name for p in term.effect.parameters), term.values))
-    for law in (*term.effect.becomes, *term.effect.contains):
-        if (name := (law, term.place.name)) in known:
-            one = known[name].shape.term(known[name].weights)
-            if law in term.effect.contains:
-                values = [own.get(p.name, value) for p, value in zip(one.effect.parameters, one.values)]
-                one = Term(one.effect, one.place, one.effect.bounded(np.array(values, dtype=float)))
-            candidate = attempt.fit.candidate.with_terms((*attempt.fit.candidate.terms[:-1], one))
-            fit, score = dataclasses.replace(attempt.fit, candidate=candidate), known[name]
-            worth = {"penalty": shape_penalty(context, score), "delta_bic": score.delta_bic}
-            found.append(dataclasses.replace(attempt, score=score, fit=fit, **worth))
-    return found
+    names = [(law, term.place.name) for law in (*term.effect.becomes, *term.effect.contains)]
+    most = known[attempt.name].delta_bic if attempt.name in known else np.inf
+    ahead = [(name, score.shape.effect) for name, score in known.items() if score.delta_bic > most]
+    names += [name for name, law in ahead if name[0] != FlexibleForce.id and attempt.name[0] not in law.contains]
+    for name in (name for name in dict.fromkeys(names) if name in known):
+        one = known[name].shape.term(known[name].weights)
+        if name[0] in term.effect.contains:
+            values = [own.get(p.name, value) for p, value in zip(one.effect.parameters, one.values)]
+            one = Term(one.effect, one.place, one.effect.bounded(np.array(values, dtype=float)))
+        candidate = attempt.fit.candidate.with_terms((*attempt.fit.candidate.terms[:-1], one))
+        fit, score = dataclasses.replace(attempt.fit, candidate=candidate), known[name]
+        worth = {"penalty": shape_penalty(context, score), "delta_bic": score.delta_bic}
+        found.append(dataclasses.replace(attempt, score=score, fit=fit, **worth))
+    return found[:MOST_COMPARED]
 
 
 def _may_swap(context: SearchContext, attempt: Attempt, other: Attempt) -> bool:
