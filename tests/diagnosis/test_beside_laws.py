@@ -85,7 +85,7 @@ def test_answers_that_run_away_after_the_record_end_with_it(rubbing):
     made = np.ones((3, len(data.u), 1))
     assert len(data.u) > data.samples
     made[1, -1], made[2, -1] = 1e4, np.inf
-    ended = features._ended(made.copy(), data)
+    ended = features._within(made.copy(), data)
     assert np.array_equal(ended[0], made[0]) and np.all(ended[:, : data.samples] == 1.0)
     assert not np.any(ended[1:, data.samples :])
 

@@ -234,7 +234,7 @@ def test_a_simpler_law_that_a_finding_contains_is_compared_with_it_beside_later_
     attempt = dataclasses.replace(accepted[0].attempt, score=score(wide), fit=here)
     seen = {(law.id, "y1"): score(law) for law in (simple, other)}
     state = SimpleNamespace(screening=SimpleNamespace(best_by_place=lambda: seen))
-    (found,) = forward._becoming(context, state, attempt)
+    (found,) = forward._compared_later(context, state, attempt)
     last = found.fit.candidate.terms[-1]
     assert found.name == ("coulomb_friction", "y1") and last.effect.id == "coulomb_friction"
     own = dict(zip((p.name for p in wide.parameters), term.values))
@@ -243,8 +243,8 @@ def test_a_simpler_law_that_a_finding_contains_is_compared_with_it_beside_later_
     stribeck = by_id("stribeck_friction")
     seen |= {(law.id, "y1"): dataclasses.replace(score(law), delta_bic=9.0) for law in (other, stribeck)}
     seen["asymmetric_friction", "y1"] = dataclasses.replace(score(wide), delta_bic=8.0)
-    names = [one.name[0] for one in forward._becoming(context, state, attempt)]
+    names = [one.name[0] for one in forward._compared_later(context, state, attempt)]
     assert names == ["coulomb_friction", "quadratic_drag", "stribeck_friction"]
     # Where the record does not show it, there is nothing to begin with.
     del seen["coulomb_friction", "y1"], seen["quadratic_drag", "y1"], seen["stribeck_friction", "y1"]
-    assert forward._becoming(context, state, attempt) == []
+    assert forward._compared_later(context, state, attempt) == []

@@ -5,24 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+from forces import FORCES, SAMPLES
 from independent import random_steps
 
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
 from jaxgray.mechanics.runs.extended import Plant, plant_run, slots_of
 from jaxgray.mechanics.runs.linearized import answers, linearized
-from jaxgray.mechanics.runs.tangents import CHUNK
 from jaxgray.mechanics.systems.drives import BaseAcceleration, Force
 
-SAMPLES, T = CHUNK + 44, 0.02
-FORCES = {
-    "no memory": (Term(by_id("coulomb_friction"), Place("y1", 0), np.array([0.4, 0.05])),),
-    "memory": (
-        Term(by_id("dahl_friction"), Place("y1-y2", 0, 1), np.array([0.5, 0.1])),
-        Term(by_id("cubic_stiffness"), Place("y2", 1), np.array([30.0])),
-    ),
-    "at an input": (Term(by_id("input_position_gain"), Place("u1", 0), np.array([0.3, 0.1])),),
-}
+T = 0.02
 STIFFNESS = np.array([[50.0, -20.0], [-20.0, 40.0]])
 
 

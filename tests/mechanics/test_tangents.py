@@ -6,23 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from forces import FORCES, SAMPLES
 
 from jaxgray.diagnosis.own_simulator.runs.numbers import over_time
-from jaxgray.mechanics.effects import by_id
-from jaxgray.mechanics.effects.base import Place, Term
+from jaxgray.mechanics.effects.base import Term
 from jaxgray.mechanics.runs.extended import Plant, plant_run, slots_of
-from jaxgray.mechanics.runs.tangents import CHUNK, Directions, run_and_tangents
+from jaxgray.mechanics.runs.tangents import Directions, run_and_tangents
 from jaxgray.mechanics.systems.drives import Force
-
-SAMPLES = CHUNK + 44
-FORCES = {
-    "no memory": (Term(by_id("coulomb_friction"), Place("y1", 0), np.array([0.4, 0.05])),),
-    "memory": (
-        Term(by_id("dahl_friction"), Place("y1-y2", 0, 1), np.array([0.5, 0.1])),
-        Term(by_id("cubic_stiffness"), Place("y2", 1), np.array([30.0])),
-    ),
-    "at an input": (Term(by_id("input_position_gain"), Place("u1", 0), np.array([0.3, 0.1])),),
-}
 
 
 @pytest.mark.parametrize(

@@ -286,13 +286,13 @@ class Simulator:
         terms = _only(candidate.terms, AbstractOutputEffect)
         if terms:
             y = _output_only(_values(terms), y, data.u, data.traced_sampling_time, forms(terms))
-        return _ended(data, y)
+        return ended(data, y)
 
     def motion(self, candidate: Candidate, data: Data, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Displacements and velocities of all coordinates on one record, and on in the padding likewise."""
         candidate = _acting(self.completed(candidate), record)
         q, v = self._run(candidate, data, record)[1:]
-        return _ended(data, q), _ended(data, v)
+        return ended(data, q), ended(data, v)
 
     def _run(self, candidate: Candidate, data: Data, record: int):
         plant, x0, inputs, slots, table = self._parts(candidate, data, record)[:5]
@@ -467,7 +467,7 @@ class Simulator:
         behind = {"plant": 0, "series": len(columns), "output": J.shape[2]}
         J = J if extra is None else np.concatenate([J, extra], axis=2)
         picked = [behind[kind] + k for kind, k in order]
-        return _ended(data, y), _ended(data, J if picked == list(range(J.shape[2])) else J[:, :, picked])
+        return ended(data, y), ended(data, J if picked == list(range(J.shape[2])) else J[:, :, picked])
 
 
 def _acting(candidate: Candidate, record: int) -> Candidate:
@@ -476,7 +476,7 @@ def _acting(candidate: Candidate, record: int) -> Candidate:
     return candidate if all(acting) else candidate.with_terms(t for t, on in zip(candidate.terms, acting) if on)
 
 
-def _ended(data: Data, X) -> np.ndarray:
+def ended(data: Data, X) -> np.ndarray:
     """A series that ends with the record where it runs away in the padding; else what follows is kept, for effects that
     bring it early."""
     X = np.asarray(X)

@@ -35,7 +35,7 @@ from ...numerics.programs.side_by_side import side_by_side
 from ...numerics.programs.stored_programs import ONCE, stored
 from ...numerics.responses.lifting import respond
 from ..model.candidate import Data
-from ..model.simulator import RUN_AWAY
+from ..model.simulator import ended
 
 BATCH = 16
 """Responses are computed in multiples of so many, so that little is compiled."""
@@ -214,7 +214,7 @@ def _force_columns(shapes, plant, motion, data, outputs, run):
     if run is not None:
         made = _answers(run, -arm, forces, _next(forces), outputs, forced=True)
         if bounded(made[:, : data.samples]):
-            return _ended(made, data)
+            return _within(made, data)
     return _responses(
         plant,
         -arm[:, None],
@@ -263,10 +263,10 @@ def _responses(plant, columns, start, end, time, outputs, *, forced, seen=None):
     return made
 
 
-def _ended(made: np.ndarray, data: Data) -> np.ndarray:
-    """Responses that end with the record where they run away in the padding."""
-    size, beyond = (np.max(np.abs(X), axis=(1, 2), initial=0.0) for X in np.split(made, [data.samples], axis=1))
-    made[~(beyond / RUN_AWAY <= size), data.samples :] = 0.0
+def _within(made: np.ndarray, data: Data) -> np.ndarray:
+    """Responses that end with the record where they run away in the padding, each by itself."""
+    for k, one in enumerate(made):
+        made[k] = ended(data, one)
     return made
 
 
@@ -323,7 +323,7 @@ def _input_columns(shapes, plant, motion, data, outputs, run):
         y = _answers(run, column[:, 0], first[:, :, 0], last[:, :, 0], outputs, forced=False)
         y = y if seen is None else y + (seen - first) * np.asarray(run.fed_input)[:outputs, j]
         if bounded(y[:, : data.samples]):
-            return _ended(y, data)
+            return _within(y, data)
     return _responses(plant, column, first, last, data.traced_sampling_time, outputs, forced=False, seen=seen)
 
 

@@ -10,6 +10,7 @@ import itertools
 import numpy as np
 
 from ...mechanics.effects.base import AbstractForceEffect, Term
+from ...numerics.matrices.bounded import bounded
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.gauss_newton import Refit, refit, with_states
@@ -160,13 +161,16 @@ def _credit(state: SearchState, delta_bic: float) -> None:
 
 def _instead(context: SearchContext, state: SearchState, candidate: Candidate) -> tuple[Refit, float, int] | None:
     """A candidate with less in it, refitted, and by how much the likelihood ratio speaks for the present model, over
-    so many samples; None where it cannot be simulated."""
+    so many samples; None where it cannot be simulated, on held-out data neither."""
     noise_model = noise_model_of(context, state.fit)
     fit = refit(context.simulator, candidate, context.data, noise_model, held=context.held)
     if fit is None:
         return None
     with_it, rows = evidence(*moving(context, state.fit), context.data[0], noise_model)
     without_it, _ = evidence(*moving(context, fit), context.data[0], noise_model)
+    held_out = (held_out_run(context, fit.candidate, d).e for d in context.validation)
+    if not bounded(np.array([with_it, without_it]), *held_out):
+        return None
     return fit, float(rows * np.log(without_it / with_it)), rows
 
 

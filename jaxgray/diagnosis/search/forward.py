@@ -217,7 +217,7 @@ def _accepted(
             names = {rival.name for rival in rivals}
             state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names] + refused
             # Refits first: of several starts of one law the first counts.
-            others = (*ahead, *others, *_becoming(context, state, attempt))
+            others = (*ahead, *others, *_compared_later(context, state, attempt))
             _take(context, state, Accepted(attempt, rivals, gain, runs, move, others))
             return True
         state.rejected.append(Rejected.of(attempt.name, attempt.delta_bic, why, gain))
@@ -287,7 +287,7 @@ def _class_of(
     return tuple(rivals[:MOST_COMPARED]), tuple(near[:MOST_COMPARED]), refused
 
 
-def _becoming(context: SearchContext, state: SearchState, attempt: Attempt) -> list[Attempt]:
+def _compared_later(context: SearchContext, state: SearchState, attempt: Attempt) -> list[Attempt]:
     """What may take the place of an attempt once other laws are there: what it may turn out to be, simpler laws that it
     contains, with its own values, and what explained more to first order. Begun where the score test has it."""
     found, term = [], attempt.fit.candidate.terms[-1]

@@ -2,6 +2,9 @@
 
 The linear plant alone answers otherwise: where dry friction holds, a small force moves nothing, and a hardening spring
 is stiffer where it is bent. Exact in the steps of the run, as differentiating through it would be.
+
+**Reference:** the variational equation, Hairer, Nørsett & Wanner, *Solving Ordinary Differential Equations I*
+(Springer, 1993), §I.14.
 """
 
 import equinox as eqx
@@ -22,6 +25,7 @@ class Linearized(eqx.Module):
 
     `by_state`; `by_force`, `by_input`: by a force at every coordinate and by every input, held over the sample, then by
     their rise over it; `seen`: outputs by state and forces; `fed_force`, `fed_input`: outputs by what acts at once.
+    States are (q, h q̇) of the plant, h [s] the time of one step, then what the forces remember.
     """
 
     by_state: Float[Array, "samples states+slots states"]
@@ -44,7 +48,12 @@ def linearized(
     scheduling: Float[Array, " samples"] | None = None,
     substeps: int | Array = 1,
 ) -> Linearized:
-    """The linearised run; arguments as for `plant_run`, with forces."""
+    """Linearise a run.
+
+    **Arguments:** as for `plant_run`; `slots`: at least one force.
+
+    **Returns:** a `Linearized`; not finite where the run is not.
+    """
     h, share = sampling_time / substeps, 1.0 / substeps
     dofs, inputs = plant.mass.shape[0], start.shape[1]
     sampler = Sampler.of(plant, slots, jnp.asarray(sampling_time), laws, substeps)
@@ -101,7 +110,10 @@ def answers(
     """Outputs that small forces or inputs add, from rest.
 
     **Arguments:** `run`; `columns`: by how much each coordinate is pushed, or each input moved; `start`, `end`: series
-    at the beginning and at the end of every sample; `forced`: forces, else inputs.
+    at the beginning and at the end of every sample; `forced`: forces, else inputs. In the units of the inputs and
+    outputs of the run.
+
+    **Returns:** the outputs, not finite where they run away.
     """
     table, fed = (run.by_force, run.fed_force) if forced else (run.by_input, run.fed_input)
     held, rising = jnp.split(table, 2, axis=2)
