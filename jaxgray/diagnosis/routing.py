@@ -47,7 +47,8 @@ NOT_MENDED = (RESULTS.unreachable, RESULTS.too_short, RESULTS.singular_state_bas
 
 @dataclass(frozen=True)
 class ForceEquation:
-    """The force equation of a diagnosis, which is set up once and searched once for the same records, whoever asks.
+    """The force equation of a diagnosis, which is set up once and searched once for the same records, whoever asks:
+    for the first law, or for all.
 
     `catalogue`; `max_effects`; `seed`; `progress`.
     """
@@ -58,6 +59,7 @@ class ForceEquation:
     progress: AbstractProgress
     _tables: dict = field(default_factory=dict)
     _searches: dict = field(default_factory=dict)
+    _firsts: dict = field(default_factory=dict)
 
     def table(self, records: list[Record], drive: AbstractDrive) -> Table:
         """What a search begins with.
@@ -74,15 +76,34 @@ class ForceEquation:
 
         **Raises:** as `search_forces`.
         """
-        arguments = records, held, drive, self.catalogue, self.max_effects
+        groups = records, held
+        return _once(self._searches, groups, lambda: self._searched(*groups, drive, self.max_effects))
+
+    def first(self, records: list[Record], held: list[Record], drive: AbstractDrive) -> Search:
+        """The search as far as its first law; the whole one where forces act that are not among the inputs, as more
+        laws may explain these.
+
+        **Raises:** as `search_forces`.
+        """
+        groups = records, held
+        if _key(groups) in self._searches:
+            return self.search(*groups, drive)
+        found = _once(self._firsts, groups, lambda: self._searched(*groups, drive, 1))
+        return self.search(*groups, drive) if found.brief_forces else found
+
+    def _searched(self, records, held, drive, most: int) -> Search:
         options = {"rng": np.random.default_rng(self.seed), "progress": self.progress}
         options["table"] = lambda: self.table(records, drive)
-        return _once(self._searches, (records, held), lambda: search_forces(*arguments, **options))
+        return search_forces(records, held, drive, self.catalogue, most, **options)
+
+
+def _key(groups: tuple[list[Record], ...]) -> tuple:
+    return tuple(tuple(map(id, records)) for records in groups)
 
 
 def _once(known: dict, groups: tuple[list[Record], ...], make: Callable[[], Any]) -> Any:
     """What was made for these very records, or else is made now, in the place of what was made for others."""
-    key = tuple(tuple(map(id, records)) for records in groups)
+    key = _key(groups)
     found = known.get(key)
     if found is None:
         # As long as they are kept, no others have their identity.
@@ -158,14 +179,14 @@ def asked_of_forces(
     identification: Identification | None,
     forces: ForceEquation,
     options: dict,
-) -> Callable[[], Search | None] | None:
+) -> Callable[[bool], Search | None] | None:
     """What gives the search in the force equation of records on which the free run of some output is poor, or far from
     what the noise of its samples explains.
 
     **Arguments:** as `begin`; `identification`: the linear fit, None where a user's own model is judged.
 
-    **Returns:** a function without arguments, which searches once however often it is called and gives None where the
-    force equation has no solution; None where it does not apply.
+    **Returns:** a function of whether all laws are asked for, or the first alone, which searches once however often it
+    is called and gives None where the force equation has no solution; None where it does not apply.
     """
     if identification is None or identification.model.hidden:
         return None
@@ -176,10 +197,10 @@ def asked_of_forces(
         return None
 
     @functools.cache
-    def search() -> Search | None:
+    def search(whole: bool) -> Search | None:
         forces.progress.unlimited.stage("looking in the force equation")
         try:
-            return forces.search(records, held, drive)
+            return (forces.search if whole else forces.first)(records, held, drive)
         except ComputationError:
             return None
 
@@ -210,11 +231,10 @@ def force_equation_trials(
         try:
             progress.stage("looking in the force equation")
             if not based:
-                return first_trials(records, drive, forces.table(records, drive), progress)
+                return first_trials(forces.table(records, drive))
             relative, inertia, mass = as_forces(records, drive)
             none = samples_of((), relative)
-            table = table_of(relative, inertia, forces.catalogue, mass, none, progress)
-            return first_trials(relative, inertia, table, progress)
+            return first_trials(table_of(relative, inertia, forces.catalogue, mass, none, progress))
         except (ComputationError, BudgetSpent, np.linalg.LinAlgError, ValueError):
             # A record that shows it nothing, such as an output that never moves, is no reason to stop.
             return []
@@ -232,7 +252,7 @@ def may_converge_in_phase(identification: Identification) -> bool:
     return bool(np.any(identification.stiffness)) and _fit(identification) < settings.POOR_FIT
 
 
-def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | None) -> Diagnosis:
+def by_force_equation(found: Diagnosis, forces: Callable[[bool], Search | None] | None) -> Diagnosis:
     """A diagnosis of free runs, or what the force equation finds, where the first is not sound and its model is twice
     as far from windows of the held-out data. What was found under white noise, against the noise model that the record
     gives, is not sound by itself.
@@ -241,7 +261,7 @@ def by_force_equation(found: Diagnosis, forces: Callable[[], Search | None] | No
     """
     sound = found.verdict in ("named", "equivalent") and (found.gain is None or found.gain.ci95[0] > 0)
     sound = sound and all(finding.found_by != Move.WHITE_NOISE.value for finding in found.findings)
-    search = None if sound or forces is None else forces()
+    search = None if sound or forces is None else forces(True)
     if search is None or not search.taken:
         return found
     if found.extended is None and may_converge_in_phase(found.identification):

@@ -113,7 +113,7 @@ def test_a_strong_law_is_the_first_that_the_force_equation_proposes(law, storey)
 def proposed(records, drive, mass=None):
     """Trials of the first law."""
     table = table_of(records, drive, tuple(map(by_id, LAWS)), mass, samples_of((), records), Silent())
-    return first_trials(records, drive, table, Silent())
+    return first_trials(table)
 
 
 def pushed(effects, seed, samples=6000):

@@ -11,8 +11,11 @@ from jaxgray import Record, diagnose, write_report
 from jaxgray.diagnosis import routing
 from jaxgray.diagnosis.conclusions.equation_error import force_diagnosis
 from jaxgray.diagnosis.conclusions.missing_force import missing_forces
+from jaxgray.diagnosis.equation_error.band import band_of
+from jaxgray.diagnosis.equation_error.rows import contribution, contributions, series_of
 from jaxgray.diagnosis.equation_error.without_unmeasured_forces import search_forces
 from jaxgray.mechanics.effects import by_id
+from jaxgray.mechanics.effects.base import Place
 from jaxgray.mechanics.systems.drives import Force
 from jaxgray.numerics.programs.runtime import ready
 from jaxgray.numerics.progress import Silent
@@ -67,6 +70,43 @@ def test_the_force_equation_is_set_up_and_searched_once_for_the_same_records(mon
     alone = searched(carriage(np.random.default_rng(8)))
     assert alone.fit.cost == search.fit.cost and alone.rejected == search.rejected
     assert forces.search(records[1:], records[:1], drive) is not search and len(made) == 2
+
+
+def test_for_the_first_law_alone_the_force_equation_is_searched_no_further(monkeypatch):
+    ready()
+    records, drive, laws = carriage(np.random.default_rng(8)), Force(np.eye(2)), tuple(by_id(one) for one in LAWS)
+    asked, pushed, searching = [], [], routing.search_forces
+
+    def counted(records, held, drive, catalogue, most, **options):
+        asked.append(most)
+        found = searching(records, held, drive, catalogue, most, **options)
+        found.brief_forces = tuple(pushed)
+        return found
+
+    monkeypatch.setattr(routing, "search_forces", counted)
+    groups, forces = (records[:1], records[1:]), routing.ForceEquation(laws, 3, 0, Silent())
+    first = forces.first(*groups, drive)
+    assert asked == [1] and forces.first(*groups, drive) is first
+    whole = forces.search(*groups, drive)
+    assert asked == [1, 3] and whole.taken[0].trial.name == first.taken[0].trial.name == ("coulomb_friction", "y1")
+    # The trials of the first law are those of one table.
+    assert whole.taken[0].trial is first.taken[0].trial and forces.first(*groups, drive) is whole
+    # What pushes besides the inputs may be a law that is missing.
+    pushed.append(None)
+    assert routing.ForceEquation(laws, 3, 0, Silent()).first(*groups, drive).brief_forces and asked == [1, 3, 1, 3]
+
+
+@pytest.mark.parametrize("law", ("stribeck_friction", "maxwell_slip_hysteresis"))
+def test_many_terms_of_a_law_give_together_what_each_gives_alone(law):
+    ready()
+    records, place, law = carriage(np.random.default_rng(8)), Place("y1-y2", 0, 1), by_id(law)
+    series = series_of(records[0], band_of(records[:1]))
+    table = np.random.default_rng(9).uniform(0.01, 1.0, (21, len(law.parameters)))
+    table[3] = np.nan
+    made = contributions(law, place, table, series, np.eye(2))
+    assert made.shape == (len(series.rows), 2, 21)
+    for k in (0, 3, 20):
+        np.testing.assert_allclose(made[:, :, k], contribution(law, place, table[k], series, np.eye(2)), atol=1e-12)
 
 
 def test_what_is_missing_is_shown_where_samples_were_lost(tmp_path):

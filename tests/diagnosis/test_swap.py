@@ -248,3 +248,36 @@ def test_a_simpler_law_that_a_finding_contains_is_compared_with_it_beside_later_
     # Where the record does not show it, there is nothing to begin with.
     del seen["coulomb_friction", "y1"], seen["quadratic_drag", "y1"], seen["stribeck_friction", "y1"]
     assert forward._compared_later(context, state, attempt) == []
+
+
+@pytest.mark.parametrize("case", ["likelier", "explained", "resembles", "weak", "farther", "refused", "as likely"])
+def test_a_search_begun_with_another_law_counts_where_it_is_likelier(monkeypatch, searched, right, case):
+    context, accepted, start, wrong = searched
+    fit, findings = right[1:]
+    state = state_of(context, start, wrong, accepted)
+    state.baseline_runs, state.unexplained = state.runs, case != "explained"
+    # As nothing else remains of its first round, the cubic spring is what another search begins with.
+    (cubic,) = accepted[0].others
+    state.ranked_first = (accepted[0].attempt, dataclasses.replace(cubic, delta_bic=50.0 if case == "weak" else 1e4))
+    monkeypatch.setattr(forward, "resemble", lambda *laws: case == "resembles")
+
+    def taken(context, new, others, move, *, most):
+        assert not new.accepted and [one.name[0] for one in others] == ["cubic_stiffness"]
+        new.accepted += [] if case == "refused" else [dataclasses.replace(findings[0], move=move)]
+        return case != "refused"
+
+    def rounds(context, new, most, laws):
+        new.accepted.append(findings[1])
+        new.fit = wrong if case == "as likely" else fit
+        new.runs = [held_out_run(context, new.fit.candidate, data) for data in context.validation]
+        if case == "farther":
+            new.runs = [dataclasses.replace(run, e=9 * run.e) for run in new.runs]
+
+    monkeypatch.setattr(forward, "_accepted", taken)
+    monkeypatch.setattr(forward, "_rounds", rounds)
+    found = forward._in_another_order(context, state, 5, (CUBIC, STOP, DRAG))
+    if case != "likelier":
+        assert found is state
+        return
+    assert names(found) == ["cubic_stiffness", "quadratic_drag"] and found.fit is fit
+    assert found.accepted[0].move is Move.BEGUN_WITH and not found.unexplained

@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ...identification.refinement.conic import pseudo_inverse
-from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Place, Term, places_of
+from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, Place, places_of
 from .. import settings
 from ..model.candidate import estimated
 from ..screening.features import Shape
 from ..screening.score_test import Score, allowed, best_by_place
 from .regression import Equation, ForceFit, Weight
+from .rows import contributions
 
 WIDER = (0.25, 4.0)
 """Lengths of a shape are tried at these multiples as well: a rigid body has no natural amplitude."""
@@ -87,13 +88,19 @@ class Library:
             grid = [_with(grid[0], lengths, length) for length in fine]
         elif lengths:
             grid += [_with(values, lengths, values[lengths] * factor) for factor in WIDER for values in list(grid)]
-        for values in grid:
-            basis = tuple(effect.basis(values))
-            made = [self.equation.added(Term(effect, place, b)) for b in basis]
-            if all(np.all(np.isfinite(x)) for one in made for x in one):
-                self.shapes.append(Shape(effect, place, values, basis, scales, effect.looks(scales, grid) * places))
-                # records → rows × dofs × basis
-                self.columns.append([np.stack([one[r] for one in made], axis=2) for r in range(len(made[0]))])
+        bases = [tuple(effect.basis(values)) for values in grid]
+        table = np.array([values for basis in bases for values in basis], float)
+        if not len(table):
+            return
+        equation, looks = self.equation, effect.looks(scales, grid) * places
+        # records → rows × dofs × terms
+        made = [contributions(effect, place, table, one, equation.input_map) for one in equation.series]
+        ends = np.cumsum([len(basis) for basis in bases])
+        for values, basis, end in zip(grid, bases, ends):
+            columns = [one[:, :, end - len(basis) : end] for one in made]
+            if all(np.all(np.isfinite(one)) for one in columns):
+                self.shapes.append(Shape(effect, place, values, basis, scales, looks))
+                self.columns.append(columns)
 
 
 def _with(values: np.ndarray, where, new) -> np.ndarray:

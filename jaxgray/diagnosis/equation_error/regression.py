@@ -130,14 +130,16 @@ class Equation:
     def added(self, term: Term, *, slopes: bool = False) -> list[np.ndarray]:
         """What a term adds to the rows of every record; the latest are remembered."""
         key = term.effect, term.place.name, np.asarray(term.values, float).tobytes(), slopes
-        if key not in self._known:
-            if len(self._known) > REMEMBERED:
-                self._known.clear()
-            self._known[key] = [
+        made = self._known.get(key)
+        if made is None:
+            made = [
                 contribution(term.effect, term.place, term.values, s, self.input_map, slopes=slopes)
                 for s in self.series
             ]
-        return self._known[key]
+            if len(self._known) > REMEMBERED:
+                self._known.clear()
+            self._known[key] = made
+        return made
 
     def scales(self, effect, place):
         """Sizes in the first record at a place."""

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
-from ...mechanics.effects.base import AbstractEffect, AbstractInputEffect, Local, Place, Scales
+from ...mechanics.effects.base import AbstractEffect, AbstractForceEffect, AbstractInputEffect, Local, Place, Scales
 from ...mechanics.runs.extended import arm_along, held_input
 from ...mechanics.runs.force_over_time import force_over_time
 from ...numerics.programs.stored_programs import stored
@@ -145,7 +145,15 @@ def _bridged(column: Float[np.ndarray, " samples"], known: Bool[np.ndarray, " sa
     return column if known.all() else np.interp(at, at[known], column[known])
 
 
+AT_ONCE = 16
+"""Forces of one law that are computed together."""
+
 _force = stored(force_over_time)
+
+
+@stored
+def _forces(effect, p, here, time):
+    return jax.vmap(lambda one: force_over_time(effect, one, here, time))(p)
 
 
 @stored
@@ -181,6 +189,25 @@ def contribution(
     if not np.all(np.isfinite(made)):
         return np.full((len(series.rows), len(arm), *made.shape[1:]), np.nan)
     return np.einsum("r...,d->rd...", series.row_values(made), arm)
+
+
+def contributions(
+    effect: AbstractForceEffect,
+    place: Place,
+    table: Float[np.ndarray, "terms parameters"],
+    series: Series,
+    input_map: Float[np.ndarray, "dofs inputs"],
+) -> Float[np.ndarray, "rows dofs terms"]:
+    """What terms of one force law at one place, their values the rows of a table, each add to the right side."""
+    arm, time = np.asarray(arm_along(effect, place, input_map)), jnp.asarray(series.sampling_time)
+    here, count = local_at(effect, place, series, arm), len(table)
+    # Batches of one size are one program.
+    batches = np.resize(table, (-(-count // AT_ONCE), AT_ONCE, table.shape[1]))
+    made = np.concatenate([np.asarray(_forces(effect, jnp.asarray(p), here, time)) for p in batches])[:count]
+    good = np.all(np.isfinite(made), axis=1)
+    rows = np.full((len(series.rows), count), np.nan)
+    rows[:, good] = series.row_values(made[good].T)
+    return np.einsum("rk,d->rdk", rows, arm)
 
 
 def forces_along(

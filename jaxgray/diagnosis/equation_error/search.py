@@ -7,6 +7,7 @@ parameters.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
@@ -18,6 +19,7 @@ from ...mechanics.effects.base import AbstractEffect, Term
 from ...mechanics.model import MechanicalModel
 from ...mechanics.systems.drives import AbstractDrive
 from ...numerics.outcomes import RESULTS, ComputationError
+from ...numerics.programs.side_by_side import side_by_side
 from ...numerics.progress import AbstractProgress
 from ...records import Record
 from .. import settings
@@ -25,7 +27,7 @@ from ..acceptance import bound_of, unsound
 from ..findings import NEEDLESS_NOW, Reason, Refusal, Rejected
 from ..selection import AbstractSelection, AbstractTrial
 from .integrated_band import integrated_band
-from .library import Library, Scores, score
+from .library import Library, Score, Scores, score
 from .regression import Equation, ForceFit
 from .rows import series_of
 from .unmeasured_forces import BriefForce, samples_of
@@ -40,11 +42,23 @@ STARTS = 3
 
 @dataclass(frozen=True)
 class Table:
-    """What a search begins with: rows of an `equation`, candidates of a `library` in them, and the fit without any."""
+    """What a search begins with: rows of an `equation`, candidates of a `library` in them, and the fit without any;
+    `progress`. The ranking and the trials of the first law are made once, whoever asks."""
 
     equation: Equation
     library: Library
     base: ForceFit
+    progress: AbstractProgress
+
+    @functools.cached_property
+    def scores(self) -> Scores:
+        """The ranking of the first law."""
+        return score(self.library, self.base, frozenset())
+
+    @functools.cached_property
+    def trials(self) -> tuple[list["Trial"], list[Rejected]]:
+        """The trials of the first law, best first, and the refits that failed."""
+        return trials_of(self.equation, self.base, self.scores, self.progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,18 +94,22 @@ class Trial(AbstractTrial):
 
 @dataclass(kw_only=True)
 class Search(AbstractSelection):
-    """The selection in the force equation: forces of `drive`, rows of `equation`, candidates of `library`, free runs
-    over `windows`; `scores`: the last look; `brief_forces`: left out."""
+    """The selection in the force equation: forces of `drive`, rows and candidates of `table`, free runs over `windows`;
+    `scores`: the last look; `brief_forces`: left out."""
 
     residual: ClassVar[str] = "what is left of the force"
     judged_on: ClassVar[str] = "held-out windows"
 
     drive: AbstractDrive
-    equation: Equation
-    library: Library
+    table: Table
     windows: Windows | None = None
     scores: Scores | None = None
     brief_forces: tuple[BriefForce, ...] = ()
+
+    @property
+    def equation(self) -> Equation:
+        """The rows."""
+        return self.table.equation
 
     def model(self, fit: ForceFit) -> MechanicalModel:
         """The model of a fit."""
@@ -121,32 +139,16 @@ class Search(AbstractSelection):
         return runs[: len(self.records)], runs[len(self.records) :]
 
     def looks(self, last):
-        self.scores = score(self.library, self.fit, frozenset(taken.trial.name for taken in self.taken))
+        names = frozenset(taken.trial.name for taken in self.taken)
+        self.scores = score(self.table.library, self.fit, names) if names else self.table.scores
         return self.scores.fires and not last
 
     def trials(self):
-        equation, weight = self.equation, self.scores.weight
-        without = equation.fit(self.fit.terms, weight)
-        starts: dict[tuple[str, str], list] = {}
-        for one in self.scores.scores:
-            key = one.shape.effect.id, one.shape.place.name
-            if one.delta_bic < settings.MIN_DELTA_BIC or (key not in starts and len(starts) == SHORT):
-                continue
-            if len(starts.setdefault(key, [])) < STARTS:
-                starts[key].append(one)
-        found = []
-        for key, ones in starts.items():
-            self.progress.stage(f"refitting {key[0]} at {key[1]}")
-            fits = [equation.fit((*self.fit.terms, one.shape.term(one.weights)), weight) for one in ones]
-            fits = [fit for fit in fits if fit is not None]
-            if not fits:
-                why = Refusal(Reason.NOT_SIMULATED, "its refit found nothing finite of positive mass")
-                self.rejected.append(Rejected.of(key, np.nan, why))
-                continue
-            best = min(fits, key=lambda fit: fit.criterion)
-            delta = without.criterion - best.criterion - 2 * np.log(ones[0].shape.tried)
-            found.append(Trial(best, float(delta), _power(without) - _power(best), self.fit, equation))
-        return sorted(found, key=lambda trial: -trial.delta_bic)
+        found, failed = (
+            trials_of(self.equation, self.fit, self.scores, self.progress) if self.taken else self.table.trials
+        )
+        self.rejected += failed
+        return found
 
     def needless(self, trial):
         place, parts = trial.term.place.name, _symbols(trial.term)
@@ -202,6 +204,42 @@ class Search(AbstractSelection):
             return
 
 
+def trials_of(
+    equation: Equation, fit: ForceFit, scores: Scores, progress: AbstractProgress
+) -> tuple[list[Trial], list[Rejected]]:
+    """The best candidates of a ranking beside the terms of a fit, each refitted from its best shapes.
+
+    **Arguments:** `equation`; `fit`; `scores`: ranking of what it leaves; `progress`.
+
+    **Returns:** the trials, best first, and the refits that failed.
+    """
+    weight = scores.weight
+    without = equation.fit(fit.terms, weight)
+    starts: dict[tuple[str, str], list[Score]] = {}
+    for one in scores.scores:
+        key = one.shape.effect.id, one.shape.place.name
+        if one.delta_bic < settings.MIN_DELTA_BIC or (key not in starts and len(starts) == SHORT):
+            continue
+        if len(starts.setdefault(key, [])) < STARTS:
+            starts[key].append(one)
+
+    def refitted(ones: list[Score]) -> ForceFit | None:
+        shape = ones[0].shape
+        progress.stage(f"refitting {shape.effect.id} at {shape.place.name}")
+        fits = [equation.fit((*fit.terms, one.shape.term(one.weights)), weight) for one in ones]
+        return min((one for one in fits if one is not None), key=lambda one: one.criterion, default=None)
+
+    found, failed = [], []
+    for (key, ones), best in zip(starts.items(), side_by_side(refitted, starts.values())):
+        if best is None:
+            why = Refusal(Reason.NOT_SIMULATED, "its refit found nothing finite of positive mass")
+            failed.append(Rejected.of(key, np.nan, why))
+            continue
+        delta = without.criterion - best.criterion - 2 * np.log(ones[0].shape.tried)
+        found.append(Trial(best, float(delta), _power(without) - _power(best), fit, equation))
+    return sorted(found, key=lambda trial: -trial.delta_bic), failed
+
+
 def search_once(
     records: list[Record],
     held: list[Record],
@@ -228,25 +266,20 @@ def search_once(
         made = table_of(records, drive, catalogue, None, left_out[: len(records)], progress)
     else:
         made = table()
-    search = _empty(made, records, drive, rng, progress)
+    search = Search(records=records, held=held, rng=rng, progress=progress, drive=drive, table=made)
+    search.base = search.fit = made.base
     band = search.equation.series[0].band
     everything = [series_of(r, band, at_rest=True, left_out=mask) for r, mask in zip(records + held, left_out)]
     search.windows = Windows(records + held, everything, window_samples(records + held), left_out)
-    search.held, search.brief_forces = held, brief_forces
+    search.brief_forces = brief_forces
     search.select(max_effects)
     search.recount()
     return search
 
 
-def first_trials(records: list[Record], drive: AbstractDrive, table: Table, progress: AbstractProgress) -> list[Trial]:
-    """Trials of the first law, best first, judged by the rows of the equation alone.
-
-    **Arguments:** `records`; `drive`: forces; their `table`; `progress`.
-
-    **Returns:** those that are beyond doubt, none where there is no such.
-    """
-    search = _empty(table, records, drive, np.random.default_rng(0), progress)
-    trials = search.trials() if search.looks(False) else []
+def first_trials(table: Table) -> list[Trial]:
+    """Trials of the first law, best first, judged by the rows of the equation alone: those that are beyond doubt."""
+    trials = table.trials[0] if table.scores.fires else []
     return [trial for trial in trials if trial.delta_bic >= settings.CLEAR_DELTA_BIC and unsound(trial) is None]
 
 
@@ -283,15 +316,7 @@ def table_of(
     base = _settled(equation, ())
     if base is None:
         raise ComputationError(RESULTS.nonfinite, stage="force equation", detail="no positive mass fits the record")
-    return Table(equation, library, base)
-
-
-def _empty(table: Table, records, drive, rng, progress) -> Search:
-    """The search before anything is added."""
-    begin = {"equation": table.equation, "library": table.library}
-    search = Search(records=records, held=[], rng=rng, progress=progress, drive=drive, **begin)
-    search.base = search.fit = table.base
-    return search
+    return Table(equation, library, base, progress)
 
 
 def _settled(equation: Equation, terms: tuple[Term, ...]) -> ForceFit | None:

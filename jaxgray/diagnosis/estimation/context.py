@@ -47,7 +47,7 @@ class SearchContext:
     rng: np.random.Generator
     progress: AbstractProgress
     identified: "Identified | None" = None
-    forces: "Callable[[], Search | None] | None" = None
+    forces: "Callable[[bool], Search | None] | None" = None
     first_trials: "Callable[[], list[Trial]] | None" = None
     trials_at_once: bool = False
     out_of_phase: bool = False

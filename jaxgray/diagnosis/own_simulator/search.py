@@ -255,7 +255,8 @@ def _context(problem, linear, wholes: Linear, catalogue, separate, rng, progress
 
 
 def _asked_of_forces(problem: Problem, wholes: Linear, catalogue, rng, progress):
-    """What gives the search in the force equation of the linear plant, once however often it is called."""
+    """What gives the search in the force equation of the linear plant, of its first law alone, once however often it
+    is called."""
     dofs = problem.record.outputs
     laws = tuple(effect for effect in catalogue if isinstance(effect, AbstractForceEffect) and effect.places != "input")
     fit, held = [], []
@@ -282,4 +283,4 @@ def _asked_of_forces(problem: Problem, wholes: Linear, catalogue, rng, progress)
         except ComputationError:
             return None
 
-    return search
+    return lambda whole: search()

@@ -24,7 +24,7 @@ from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
 from .backward import prune
-from .confusable import alike, commonest_first, needless
+from .confusable import alike, commonest_first, needless, resemble
 from .proposals import (
     closer_screening,
     given_up,
@@ -34,7 +34,7 @@ from .proposals import (
     without_failed,
 )
 from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
-from .restart import for_the_free_run
+from .restart import for_the_free_run, likelier
 from .state import MOST_COMPARED, Accepted, SearchState, held_out_run, runs_seen
 from .swap import conclude, swap
 
@@ -60,9 +60,39 @@ def select_forward(
     state.runs = state.baseline_runs
     if errors:
         extend(dataclasses.replace(context, catalogue=errors), state, max_errors, errors)
-    extend(context, state, max_effects, (*context.catalogue, FlexibleForce()))
+    searched = (*context.catalogue, FlexibleForce())
+    extend(context, state, max_effects, searched)
+    if not errors:
+        state = _in_another_order(context, state, max_effects, searched)
     conclude(context, state)
     return state
+
+
+def _in_another_order(
+    context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]
+) -> SearchState:
+    """The state, or that of a search begun with another law, where this one leaves something unexplained and the other
+    is likelier and no farther from held-out data: what explained most at first may have stood in for two laws, its
+    values led astray by the one that was missing."""
+    there = [one.attempt for one in state.accepted]
+
+    def other(attempt: Attempt) -> bool:
+        laws = ((attempt.score.shape.effect, one.score.shape.effect) for one in there)
+        return all(attempt.name != one.name for one in there) and not any(resemble(*pair) for pair in laws)
+
+    others = [attempt for attempt in state.ranked_first if other(attempt)]
+    if not (there and state.unexplained and most > 1 and others and others[0].delta_bic > settings.CLEAR_DELTA_BIC):
+        return state
+    new = SearchState(state.start, state.start, screening=state.first, first=state.first)
+    new.ranked_first = state.ranked_first
+    new.baseline_runs = new.runs = state.baseline_runs
+    with contextlib.suppress(BudgetSpent):
+        if _accepted(context, new, others, Move.BEGUN_WITH, most=1):
+            _rounds(context, new, most - 1, searched)
+    revert_provisional(new)
+    if not new.accepted or not likelier(context, new, state):
+        return state
+    return new
 
 
 def extend(context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]) -> None:
@@ -109,6 +139,7 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     closer = closer_screening(context, state.stage, screening)
     before = len(state.rejected)
     ranked = refitted(context, state, screening, closer)
+    state.ranked_first = state.ranked_first if state.accepted else tuple(ranked)
     if _accepted(context, state, ranked):
         return 1
     if state.ruled_out != told_from:

@@ -1,6 +1,6 @@
 """The model that was found, refitted once more under white noise, and kept where it leaves less: where a law was still
 missing, its traces passed for noise at the forces, and under such noise a refit follows the record step by step and
-hardly asks where the free run goes."""
+hardly asks where the free run goes. And which of two models is the likelier one."""
 
 import dataclasses
 
@@ -9,7 +9,10 @@ import numpy as np
 from .. import settings
 from ..estimation.context import SearchContext, noise_model_of, stage_of_candidate
 from ..estimation.gauss_newton import Refit, refit
+from ..estimation.multistart import moving
+from ..estimation.significance import evidence
 from ..model.candidate import Candidate
+from ..model.free_run import overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.floor import more_than_noise, residual_rms
 from ..noise.whitening import white_noise_model
@@ -58,6 +61,19 @@ def _keep(context: SearchContext, state: SearchState, fit: Refit | None) -> None
     gain = gain_of(*runs, floor, context.names[1], held_out=held_out, rng=context.rng, seen=seen)
     attempt = dataclasses.replace(last.attempt, fit=fit)
     state.accepted[-1] = dataclasses.replace(last, attempt=attempt, gain=gain, runs=state.runs)
+
+
+def likelier(context: SearchContext, new: SearchState, old: SearchState) -> bool:
+    """Whether one model is clearly likelier than another (BIC under the noise model that makes either likelier), and no
+    farther from held-out data."""
+    noise_model = min((noise_model_of(context, one.fit) for one in (new, old)), key=lambda one: one.cost)
+
+    def criterion(state: SearchState) -> float:
+        cost, rows = evidence(*moving(context, state.fit), context.data[0], noise_model)
+        return float(rows * np.log(max(cost, 1e-300))) + sum(one.attempt.penalty for one in state.accepted)
+
+    farther = bool(context.validation) and overall(rms_of(new.runs), rms_of(old.runs)) > 1.0
+    return not farther and criterion(old) - criterion(new) > settings.MIN_DELTA_BIC
 
 
 def _left(context: SearchContext, fit: Refit) -> float:

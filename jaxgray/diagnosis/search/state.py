@@ -58,8 +58,9 @@ class Provisional:
 @dataclass
 class SearchState:
     """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
-    tried, the last look, what is no longer looked for, how many candidates were judged on held-out data since the last
-    was surely accepted, what the last findings owe, and the refit in which all were compared last."""
+    tried, the last look, the first one and the refits of its round, what is no longer looked for, how many candidates
+    were judged on held-out data since the last was surely accepted, what the last findings owe, and the refit in which
+    all were compared last."""
 
     start: Stage
     stage: Stage
@@ -69,6 +70,7 @@ class SearchState:
     tried: dict[tuple[str, str], Refit] = field(default_factory=dict)
     screening: Screening | None = None
     first: Screening | None = None
+    ranked_first: tuple[Attempt, ...] = ()
     unexplained: bool = False
     ruled_out: frozenset = frozenset()
     baseline_runs: list[FreeRun] = field(default_factory=list)

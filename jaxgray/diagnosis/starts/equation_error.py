@@ -34,7 +34,7 @@ MAX_TRIALS = 2
 
 def force_equation_finds(context: SearchContext) -> bool:
     """Whether the force equation may be asked, and finds something."""
-    search = None if context.forces is None else context.forces()
+    search = None if context.forces is None else context.forces(False)
     return search is not None and bool(search.taken)
 
 
@@ -65,7 +65,7 @@ def from_forces(context: SearchContext, stage: Stage, screening: Screening) -> l
     """
     if stage.candidate.terms or not force_equation_finds(context):
         return []
-    first = context.forces().taken[0]
+    first = context.forces(False).taken[0]
     trials = [first.trial, *first.rivals]
     attempts = side_by_side(lambda trial: _refitted(context, stage, screening, trial, False), trials)
     return compared(context, stage, [attempt for attempt in attempts if attempt is not None])

@@ -16,7 +16,7 @@ from ...equation_error.band import band_of
 from ...equation_error.library import Library
 from ...equation_error.regression import ForceFit
 from ...equation_error.rows import forces_along, series_of
-from ...equation_error.search import Search
+from ...equation_error.search import Search, Table
 from ...equation_error.windows import Windows, window_samples
 from .equation import Balanced, BalanceEquation, prepared
 
@@ -28,7 +28,10 @@ FEWEST = 8
 class BalanceSearch(Search):
     """The selection in the balance of forces of a simulator."""
 
-    equation: BalanceEquation
+    @property
+    def equation(self) -> BalanceEquation:
+        """The rows."""
+        return self.table.equation
 
     def model(self, fit: ForceFit) -> MechanicalModel:
         """What stands for the simulator: its mean masses and inputs, and the laws."""
@@ -101,16 +104,10 @@ def search_balance(
         raise ComputationError(RESULTS.too_short, stage="balance of forces", detail=detail)
     laws = tuple(one for one in catalogue if isinstance(one, AbstractForceEffect) and one.places != "input")
     progress.unlimited.stage("looking for effects")
-    search = BalanceSearch(
-        records=records,
-        held=held,
-        rng=rng,
-        progress=progress,
-        drive=Force(np.eye(equation.dofs)),
-        equation=equation,
-        library=Library.of(equation, laws, (records[0].input_names, records[0].output_names)),
-    )
-    search.base = search.fit = _settled(equation)
+    library = Library.of(equation, laws, (records[0].input_names, records[0].output_names))
+    table, drive = Table(equation, library, _settled(equation), progress), Force(np.eye(equation.dofs))
+    search = BalanceSearch(records=records, held=held, rng=rng, progress=progress, drive=drive, table=table)
+    search.base = search.fit = table.base
     everything = [prepared(record, series_of(record, band, at_rest=True)) for record in records + held]
     nothing = [np.zeros(record.samples, bool) for record in records + held]
     search.windows = Windows(records + held, everything, window_samples(records + held), nothing)
