@@ -281,3 +281,21 @@ def test_a_search_begun_with_another_law_counts_where_it_is_likelier(monkeypatch
         return
     assert names(found) == ["cubic_stiffness", "quadratic_drag"] and found.fit is fit
     assert found.accepted[0].move is Move.BEGUN_WITH and not found.unexplained
+
+
+def test_findings_are_compared_again_beside_a_law_that_took_a_place(monkeypatch, searched):
+    context, accepted, start, fit = searched
+    state, compared = state_of(context, start, fit, [accepted[0]] * 4), []
+
+    def again(context, state, k):
+        compared.append(k)
+        # The third gives way once, the last one twice.
+        if (k, len(compared)) in ((2, 3), (3, 4), (1, 6)):
+            one, other = state.accepted[k].attempt, by_id("cubic_stiffness" if k != 1 else "quadratic_drag")
+            score = dataclasses.replace(one.score, shape=dataclasses.replace(one.score.shape, effect=other))
+            state.accepted[k] = dataclasses.replace(accepted[0], attempt=dataclasses.replace(one, score=score))
+
+    monkeypatch.setattr(module, "_class_again", again)
+    swap(context, state)
+    # Those before the last one that changed, each time.
+    assert compared == [0, 1, 2, 3, 0, 1, 2, 0] and state.compared_in is state.fit

@@ -81,3 +81,21 @@ def test_the_hold_comes_before_what_delays():
     assert np.array_equal(*runs)
     straight = np.asarray(extended_run(plant, (delay,), jnp.zeros(2), jnp.asarray(u)[:, None], TIME, "linear"))[:, 0]
     np.testing.assert_allclose(runs[0], straight, atol=1e-12 * np.ptp(straight))
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_a_limit_cuts_off_nothing_of_what_a_delay_makes_within_a_sample(hold):
+    # A limit and a delay commute; the straight line that stands for a step within a sample reaches beyond the limit.
+    u = 2 * np.random.default_rng(4).standard_normal(SAMPLES)
+    u[:3] = 0.0
+    plant = Plant(*(jnp.array([[x]]) for x in (MASS, DAMPING, STIFFNESS)), Force(jnp.eye(1)), ("acceleration",))
+    delay, limit = (
+        Term(by_id(effect), Place("u1", 0), jnp.array([value]))
+        for effect, value in (("input_delay", 2.4 * TIME), ("input_saturation", LIMIT))
+    )
+    runs = [
+        np.asarray(extended_run(plant, terms, jnp.zeros(2), jnp.asarray(u)[:, None], TIME, hold))[:, 0]
+        for terms in ((delay, limit), (limit, delay))
+    ]
+    right = accelerations(later(np.clip(fine(u, hold), -LIMIT, LIMIT), 2.4))
+    assert np.array_equal(*runs) and np.std(runs[0] - right) < 0.01 * np.std(right)

@@ -135,6 +135,9 @@ class InputDelay(AbstractInputEffect):
     reference = "Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012"
     places = "input"
     resembles = "timing"
+    # It commutes with every law that does not depend on the clock, and straight lines that stand for a step within a
+    # sample reach beyond it, which a limit would cut off.
+    rank = 2
 
     def shapes(self, scales):
         return [np.array([count * scales.sampling_time]) for count in SAMPLES]

@@ -230,11 +230,11 @@ class AbstractForceEffect(AbstractEffect):
 class AbstractInputEffect(AbstractEffect):
     """A change of one input on its way to the plant.
 
-    The input over sample k runs from start[k] to end[k] in a straight line (equal under a zero-order hold). `early`:
-    whether it comes before all others.
+    The input over sample k runs from start[k] to end[k] in a straight line (equal under a zero-order hold). `rank`:
+    effects of a lower one come first; those of one rank in the order in which they are in the model.
     """
 
-    early: ClassVar[bool] = False
+    rank: ClassVar[int] = 1
 
     @abc.abstractmethod
     def apply(

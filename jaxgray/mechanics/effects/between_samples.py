@@ -14,7 +14,7 @@ class IntersampleHold(AbstractInputEffect):
     of a sample differ) is moved the other way, 1 standing for a zero-order hold. What comes after it is late or bent.
     """
 
-    early = True
+    rank = 0
 
     id = "intersample_hold"
     family = "actuator"
@@ -45,7 +45,7 @@ class BandLimitedInput(AbstractInputEffect):
     bent.
     """
 
-    early = True
+    rank = 0
 
     id = "band_limited_input"
     family = "actuator"

@@ -236,9 +236,21 @@ def extended_run(
 
 def changed_input(terms: tuple[Term, ...], start, end, seen, sampling_time) -> tuple[Array, Array, Array]:
     """Input at start and end of every sample and at the samples (samples × inputs), after all effects on it."""
-    start, end, seen = (jnp.asarray(x) for x in (start, end, seen))
+    held = tuple(jnp.asarray(x) for x in (start, end, seen))
     on_input = [term for term in terms if isinstance(term.effect, AbstractInputEffect)]
-    for term in sorted(on_input, key=lambda term: not term.effect.early):
+    by_rank = sorted(on_input, key=lambda term: term.effect.rank)
+    start, end, seen = _one_by_one(by_rank, held, sampling_time)
+    # At the samples a delay knows what was recorded, but not what a limit makes of it within a sample.
+    late_first = sorted(on_input, key=lambda term: (term.effect.rank > 0, -term.effect.rank))
+    if any(one is not other for one, other in zip(late_first, by_rank)):
+        seen = _one_by_one(late_first, held, sampling_time)[2]
+    return start, end, seen
+
+
+def _one_by_one(terms: list[Term], held: tuple[Array, Array, Array], sampling_time) -> tuple[Array, Array, Array]:
+    """Inputs at start and end of every sample and at the samples after effects in their order."""
+    start, end, seen = held
+    for term in terms:
         j, p = term.place.first, term.values
         one = start[:, j], end[:, j]
         seen = seen.at[:, j].set(term.effect.at_samples(p, *one, seen[:, j], sampling_time))
