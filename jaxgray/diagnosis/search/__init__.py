@@ -23,7 +23,8 @@ round:
               laws that it contains, with what scored higher, and with what was refitted in its round and explained
               less, or had no sure gain: the best one that holds there replaces it. A law whose amplitude is no longer
               significant gives way to one as good that is, and one whose further parameters explain nothing any more
-              to the simpler law. Laws before one that was replaced are compared beside it once more. Then the next round
+              to the simpler law. Laws before one that was replaced are compared beside it once more. Then the next
+              round
 
 If no candidate passes, the round goes on to further *moves*, in this order, until one succeeds:
 
