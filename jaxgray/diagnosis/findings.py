@@ -96,7 +96,7 @@ class Move(enum.Enum):
     WHITE_NOISE = "free run under white noise"
     WITH_ANOTHER = "together with a later one"
     IN_ITS_PLACE = "in the place of another"
-    BEGUN_WITH = "first of another order"
+    BEGUN_WITH = "taken in the place of another in its round"
 
 
 class Reason(enum.Enum):

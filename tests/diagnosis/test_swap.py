@@ -256,9 +256,10 @@ def test_a_search_begun_with_another_law_counts_where_it_is_likelier(monkeypatch
     fit, findings = right[1:]
     state = state_of(context, start, wrong, accepted)
     state.baseline_runs, state.unexplained = state.runs, case != "explained"
-    # As nothing else remains of its first round, the cubic spring is what another search begins with.
+    # As nothing else remains of the first round, the cubic spring is what another search begins with.
     (cubic,) = accepted[0].others
-    state.ranked_first = (accepted[0].attempt, dataclasses.replace(cubic, delta_bic=50.0 if case == "weak" else 1e4))
+    cubic = dataclasses.replace(cubic, delta_bic=50.0 if case == "weak" else 1e4)
+    state.branches = ((SearchState(start, start), (accepted[0].attempt, cubic)),)
     monkeypatch.setattr(forward, "resemble", lambda *laws: case == "resembles")
 
     def taken(context, new, others, move, *, most):
@@ -280,6 +281,7 @@ def test_a_search_begun_with_another_law_counts_where_it_is_likelier(monkeypatch
         assert found is state
         return
     assert names(found) == ["cubic_stiffness", "quadratic_drag"] and found.fit is fit
+    assert not state.branches[0][0].accepted
     assert found.accepted[0].move is Move.BEGUN_WITH and not found.unexplained
 
 

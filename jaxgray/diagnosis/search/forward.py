@@ -38,6 +38,9 @@ from .restart import for_the_free_run, likelier
 from .state import MOST_COMPARED, Accepted, SearchState, held_out_run, runs_seen
 from .swap import conclude, swap
 
+BRANCHES = 2
+"""Rounds in which another law is taken, at most, where a search leaves something unexplained."""
+
 
 def select_forward(
     context: SearchContext,
@@ -71,28 +74,28 @@ def select_forward(
 def _in_another_order(
     context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]
 ) -> SearchState:
-    """The state, or that of a search begun with another law, where this one leaves something unexplained and the other
-    is likelier and no farther from held-out data: what explained most at first may have stood in for two laws, its
-    values led astray by the one that was missing."""
+    """The state, or that of a search that took another law in one of the rounds, where this one leaves something
+    unexplained and the other is likelier and no farther from held-out data: what explained most in a round may have
+    stood in for two laws, its values led astray by the one that was missing."""
     there = [one.attempt for one in state.accepted]
 
     def other(attempt: Attempt) -> bool:
         laws = ((attempt.score.shape.effect, one.score.shape.effect) for one in there)
         return all(attempt.name != one.name for one in there) and not any(resemble(*pair) for pair in laws)
 
-    others = [attempt for attempt in state.ranked_first if other(attempt)]
-    if not (there and state.unexplained and most > 1 and others and others[0].delta_bic > settings.CLEAR_DELTA_BIC):
-        return state
-    new = SearchState(state.start, state.start, screening=state.first, first=state.first)
-    new.ranked_first = state.ranked_first
-    new.baseline_runs = new.runs = state.baseline_runs
-    with contextlib.suppress(BudgetSpent):
-        if _accepted(context, new, others, Move.BEGUN_WITH, most=1):
-            _rounds(context, new, most - 1, searched)
-    revert_provisional(new)
-    if not new.accepted or not likelier(context, new, state):
-        return state
-    return new
+    branches = [(begun, others) for begun, ranked in state.branches if (others := [*filter(other, ranked)])]
+    clear = [branch for branch in branches if branch[1][0].delta_bic > settings.CLEAR_DELTA_BIC]
+    for begun, others in sorted(clear, key=lambda branch: -branch[1][0].delta_bic)[:BRANCHES]:
+        if not state.unexplained or len(begun.accepted) > most - 2:
+            continue
+        new = begun.copied()
+        with contextlib.suppress(BudgetSpent):
+            if _accepted(context, new, others, Move.BEGUN_WITH, most=1):
+                _rounds(context, new, most - len(new.accepted), searched)
+        revert_provisional(new)
+        if new.fit is not None and likelier(context, new, state):
+            state = new
+    return state
 
 
 def extend(context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]) -> None:
@@ -139,8 +142,9 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     closer = closer_screening(context, state.stage, screening)
     before = len(state.rejected)
     ranked = refitted(context, state, screening, closer)
-    state.ranked_first = state.ranked_first if state.accepted else tuple(ranked)
+    begun = state.copied()
     if _accepted(context, state, ranked):
+        state.branches = (*state.branches, (begun, tuple(ranked)))
         return 1
     if state.ruled_out != told_from:
         return 0

@@ -1,6 +1,6 @@
 """The state of a search: what was accepted and refused, and its model run on data."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -58,9 +58,9 @@ class Provisional:
 @dataclass
 class SearchState:
     """How far the loop got: where it began, the model now, what was accepted and rejected, the last refit of what was
-    tried, the last look, the first one and the refits of its round, what is no longer looked for, how many candidates
-    were judged on held-out data since the last was surely accepted, what the last findings owe, and the refit in which
-    all were compared last."""
+    tried, the last look and the first one, the `branches` (states in which rounds began, with the refits of the round,
+    best first), what is no longer looked for, how many candidates were judged on held-out data since the last was
+    surely accepted, what the last findings owe, and the refit in which all were compared last."""
 
     start: Stage
     stage: Stage
@@ -70,7 +70,7 @@ class SearchState:
     tried: dict[tuple[str, str], Refit] = field(default_factory=dict)
     screening: Screening | None = None
     first: Screening | None = None
-    ranked_first: tuple[Attempt, ...] = ()
+    branches: tuple[tuple["SearchState", tuple[Attempt, ...]], ...] = ()
     unexplained: bool = False
     ruled_out: frozenset = frozenset()
     baseline_runs: list[FreeRun] = field(default_factory=list)
@@ -78,6 +78,11 @@ class SearchState:
     trials: int = 0
     provisional: Provisional | None = None
     compared_in: Refit | None = None
+
+    def copied(self) -> "SearchState":
+        """One that goes another way from here."""
+        lists = {"accepted": list(self.accepted), "rejected": list(self.rejected), "tried": dict(self.tried)}
+        return replace(self, **lists)
 
     @property
     def sure(self) -> Stage:
