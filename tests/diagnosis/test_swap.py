@@ -262,7 +262,7 @@ def test_a_search_begun_with_another_law_counts_where_it_is_likelier(monkeypatch
     state.branches = ((SearchState(start, start), (accepted[0].attempt, cubic)),)
     monkeypatch.setattr(forward, "resemble", lambda *laws: case == "resembles")
 
-    def taken(context, new, others, move, *, most):
+    def taken(context, new, others, move):
         assert not new.accepted and [one.name[0] for one in others] == ["cubic_stiffness"]
         new.accepted += [] if case == "refused" else [dataclasses.replace(findings[0], move=move)]
         return case != "refused"

@@ -90,7 +90,7 @@ def _in_another_order(
             continue
         new = begun.copied()
         with contextlib.suppress(BudgetSpent):
-            if _accepted(context, new, others, Move.BEGUN_WITH, most=1):
+            if _accepted(context, new, others, Move.BEGUN_WITH):
                 _rounds(context, new, most - len(new.accepted), searched)
         revert_provisional(new)
         if new.fit is not None and likelier(context, new, state):
