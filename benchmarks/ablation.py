@@ -92,7 +92,7 @@ RULES = (
     Rule("search.proposals", "under_white_noise", empty(list)),
     Rule("search.acceptance", "_is_feedback", fixed(False)),
     Rule("search.forward", "_refuted", fixed(False)),
-    Rule("search.forward", "_in_another_order", given("state")),
+    Rule("search.forward", "_along_branches", given("state")),
     Rule("search.forward", "_provisional", fixed(False)),
     Rule("search.backward", "_unite", fixed(None), "state"),
     Rule("search.backward", "_unite_alike", fixed(None), "state"),

@@ -276,7 +276,7 @@ def test_a_search_begun_with_another_law_counts_where_it_is_likelier(monkeypatch
 
     monkeypatch.setattr(forward, "_accepted", taken)
     monkeypatch.setattr(forward, "_rounds", rounds)
-    found = forward._in_another_order(context, state, 5, (CUBIC, STOP, DRAG))
+    found = forward._along_branches(context, state, 5, (CUBIC, STOP, DRAG))
     if case != "likelier":
         assert found is state
         return

@@ -35,11 +35,11 @@ If no candidate passes, the round goes on to further *moves*, in this order, unt
         another one passes in that round, otherwise neither
 
 The search ends when the score test shows nothing, when no move succeeds, or with `max_effects` effects. If the score
-test still shows something, the search goes back to a round and takes the likeliest candidate there that resembles none
-of the accepted laws (at most twice, where that candidate was likeliest): the law that was taken may have stood for two,
-with values that no later round could leave. Of both models the likelier one (BIC) is kept, if it is no farther from
-held-out data. Then laws are swapped once more, in the final model, and a gap is called backlash or end stop by how
-often it is left there.
+test still shows something, the search goes back to a round and takes the likeliest candidate there that holds and
+resembles none of the accepted laws (at most twice, where such a candidate was likeliest): the law that was taken may
+have stood for two, with values that no later round could leave. Of both models the likelier one (BIC) is kept, if it is
+no farther from held-out data. Then laws are swapped once more, in the final model, and a gap is called backlash or end
+stop by how often it is left there.
 
 state         the search state: structure, refit, what was accepted, what was refused and why
 forward       the rounds

@@ -66,12 +66,12 @@ def select_forward(
     searched = (*context.catalogue, FlexibleForce())
     extend(context, state, max_effects, searched)
     if not errors:
-        state = _in_another_order(context, state, max_effects, searched)
+        state = _along_branches(context, state, max_effects, searched)
     conclude(context, state)
     return state
 
 
-def _in_another_order(
+def _along_branches(
     context: SearchContext, state: SearchState, most: int, searched: tuple[AbstractEffect, ...]
 ) -> SearchState:
     """The state, or that of a search that took another law in one of the rounds, where this one leaves something
