@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 
-from ...mechanics.effects.base import Term
 from ...numerics.matrices.bounded import bounded
 from ...numerics.progress import BudgetSpent
 from .. import settings
@@ -19,7 +18,7 @@ from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
 from ..model.free_run import overall
 from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel
-from .confusable import alike, needless, resemble
+from .confusable import alike, needless
 from .state import MOST_COMPARED, SearchState, held_out_run, held_out_runs, is_local
 
 STEPS = 20
@@ -196,32 +195,22 @@ def _beside(
     context: SearchContext, state: SearchState, rival: Attempt, k: int, noise_model: NoiseModel, most: float
 ) -> Refit | None:
     """A rival in the place of the k-th term, refitted from M, D, K of the model with all findings and from its own:
-    laws differ in the stiffness that they take upon themselves. Where the two resemble each other, also with what that
-    term has under the same names. None where its cost remains above `most`."""
-    now, held = state.fit.candidate, context.held
+    laws differ in the stiffness that they take upon themselves. None where its cost remains above `most`."""
     term = next(t for t in rival.fit.candidate.terms if (t.effect.id, t.place.name) == rival.name)
+    terms = tuple(term if j == k else t for j, t in enumerate(state.fit.candidate.terms))
+    held = context.held
     options = {"held": held, "max_steps": STEPS, "tolerance": ROUGH}
     # From its own M, D, K the way may be slow, but it is no wrong one.
-    begun = [(now, term, most), (rival.fit.candidate, term, np.inf)]
-    if resemble(now.terms[k].effect, term.effect):
-        begun.append((now, _with_values_of(term, now.terms[k]), most))
-    fits = []
-    for begin, one, abandon in begun:
-        terms = tuple(one if j == k else t for j, t in enumerate(now.terms))
-        begin = begin.with_terms(terms)
-        fits.append(refit(context.simulator, begin, context.data, noise_model, abandon=abandon, **options))
+    begun = (state.fit.candidate, most), (rival.fit.candidate, np.inf)
+    fits = [
+        refit(context.simulator, begin.with_terms(terms), context.data, noise_model, abandon=abandon, **options)
+        for begin, abandon in begun
+    ]
     best = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
     if best is None or best.cost > most:
         return None
     again = refit(context.simulator, best.candidate, context.data, noise_model, held=held, max_steps=STEPS)
     return best if again is None else again
-
-
-def _with_values_of(term: Term, other: Term) -> Term:
-    """A term with the values that another one has under the same names."""
-    known = dict(zip((p.name for p in other.effect.parameters), other.values))
-    values = [known.get(p.name, value) for p, value in zip(term.effect.parameters, term.values)]
-    return Term(term.effect, term.place, term.effect.bounded(np.array(values, dtype=float)))
 
 
 def _most(context: SearchContext, fit: Refit, noise_model: NoiseModel) -> float:
