@@ -259,11 +259,14 @@ def test_a_search_begun_with_another_law_counts_where_it_is_likelier(monkeypatch
     # As nothing else remains of the first round, the cubic spring is what another search begins with.
     (cubic,) = accepted[0].others
     cubic = dataclasses.replace(cubic, delta_bic=50.0 if case == "weak" else 1e4)
-    state.branches = ((SearchState(start, start), (accepted[0].attempt, cubic)),)
+    begun = SearchState(start, start, trials=2)
+    state.branches = ((begun, (accepted[0].attempt, cubic)),)
     monkeypatch.setattr(forward, "resemble", lambda *laws: case == "resembles")
 
-    def taken(context, new, others, move):
-        assert not new.accepted and [one.name[0] for one in others] == ["cubic_stiffness"]
+    def taken(context, new, ranked, move, *, most):
+        # What was taken in that round is not judged again, but it may be of the class.
+        assert not new.accepted and [one.name[0] for one in ranked] == ["cubic_stiffness", "end_stop"]
+        assert most == 1 and new.trials == 3 and not state.branches
         new.accepted += [] if case == "refused" else [dataclasses.replace(findings[0], move=move)]
         return case != "refused"
 
@@ -281,7 +284,7 @@ def test_a_search_begun_with_another_law_counts_where_it_is_likelier(monkeypatch
         assert found is state
         return
     assert names(found) == ["cubic_stiffness", "quadratic_drag"] and found.fit is fit
-    assert not state.branches[0][0].accepted
+    assert not begun.accepted and begun.trials == 2
     assert found.accepted[0].move is Move.BEGUN_WITH and not found.unexplained
 
 

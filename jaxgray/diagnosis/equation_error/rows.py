@@ -203,11 +203,12 @@ def contributions(
     here, count = local_at(effect, place, series, arm), len(table)
     # Batches of one size are one program.
     batches = np.resize(table, (-(-count // AT_ONCE), AT_ONCE, table.shape[1]))
-    made = np.concatenate([np.asarray(_forces(effect, jnp.asarray(p), here, time)) for p in batches])[:count]
-    good = np.all(np.isfinite(made), axis=1)
-    rows = np.full((len(series.rows), count), np.nan)
-    rows[:, good] = series.row_values(made[good].T)
-    return np.einsum("rk,d->rdk", rows, arm)
+    rows = np.full((len(batches), AT_ONCE, len(series.rows)), np.nan)
+    for p, some in zip(batches, rows):
+        made = np.asarray(_forces(effect, jnp.asarray(p), here, time))
+        good = np.all(np.isfinite(made), axis=1)
+        some[good] = series.row_values(made[good].T).T
+    return np.einsum("kr,d->rdk", rows.reshape(-1, len(series.rows))[:count], arm)
 
 
 def forces_along(

@@ -28,7 +28,8 @@ class SearchContext:
     `simulator`; `data` of estimation and of validation; `catalogue`; `names` of inputs and outputs; `held`: entries
     that do not move; `floor`: independent noise floor per output, or None; `separate`: whether validation has a clock
     of its own; `rng`; `progress`; `identified`: the model that the records give, where a user's own is judged;
-    `forces`: gives what the force equation finds (None where it has no solution), where it may be asked;
+    `forces`: gives what the force equation finds (None where it has no solution), where it may be asked: of all laws,
+    or of the first alone;
     `first_trials`: gives its trials of the first law, where they only start refits; `trials_at_once`: whether those are
     refitted with the first candidates, not only where these leave more than noise; `out_of_phase`: whether the free run
     is of no use unless laws of the force equation bring it into phase; `white`: whether the noise is taken for white

@@ -83,18 +83,22 @@ def _along_branches(
         laws = ((attempt.score.shape.effect, one.score.shape.effect) for one in there)
         return all(attempt.name != one.name for one in there) and not any(resemble(*pair) for pair in laws)
 
-    branches = [(begun, others) for begun, ranked in state.branches if (others := [*filter(other, ranked)])]
-    clear = [branch for branch in branches if branch[1][0].delta_bic > settings.CLEAR_DELTA_BIC]
-    for begun, others in sorted(clear, key=lambda branch: -branch[1][0].delta_bic)[:BRANCHES]:
+    branches = [(*one, others) for one in state.branches if (others := [*filter(other, one[1])])]
+    clear = [branch for branch in branches if branch[2][0].delta_bic > settings.CLEAR_DELTA_BIC]
+    state.branches = ()
+    for begun, ranked, others in sorted(clear, key=lambda branch: -branch[2][0].delta_bic)[:BRANCHES]:
         if not state.unexplained or len(begun.accepted) > most - 2:
             continue
-        new = begun.copied()
+        new, rest = begun.copied(), [one for one in ranked if not other(one)]
+        # As many were judged in that round already.
+        new.trials += 1 + next((k for k, one in enumerate(ranked) if one is rest[0]), 0) if rest else 0
+        new.branches = ()
         with contextlib.suppress(BudgetSpent):
-            if _accepted(context, new, others, Move.BEGUN_WITH):
+            if _accepted(context, new, others + rest, Move.BEGUN_WITH, most=len(others)):
                 _rounds(context, new, most - len(new.accepted), searched)
         revert_provisional(new)
         if new.fit is not None and likelier(context, new, state):
-            state = new
+            state = dataclasses.replace(new, branches=())
     return state
 
 
@@ -231,7 +235,7 @@ def _accepted(
     most: int | None = None,
 ) -> bool:
     """Accept the best candidate that holds and surely gains `least` [%], among the first `most`; whether one did."""
-    floor, unsure, ahead = floor_of(context, ranked), [], []
+    floor, unsure, ahead = floor_of(context, sorted(ranked, key=lambda one: one.criterion)), [], []
     judged = len(ranked) if most is None else most
     ranked = commonest_first(ranked[:judged], context.catalogue) + ranked[judged:]
     for k, attempt in enumerate(ranked[:judged]):

@@ -231,7 +231,8 @@ class AbstractInputEffect(AbstractEffect):
     """A change of one input on its way to the plant.
 
     The input over sample k runs from start[k] to end[k] in a straight line (equal under a zero-order hold). `rank`:
-    effects of a lower one come first; those of one rank in the order in which they are in the model.
+    effects of a lower one come first; those of one rank in the order in which they are in the model. At the samples a
+    higher one comes first, but for 0: what is neither of rank 0 nor of rank 1 has to commute with every other.
     """
 
     rank: ClassVar[int] = 1
