@@ -146,7 +146,7 @@ def test_a_law_with_more_than_is_needed_any_more_gives_way_to_the_simpler_one(mo
     pair = ["cubic_stiffness", "end_stop"]
     monkeypatch.setattr(module, "needless", lambda wide, simple: [wide.name[0], simple.name[0]] == pair)
     monkeypatch.setattr(module, "overall", lambda new, old: 1.0)
-    monkeypatch.setattr(module, "_most", lambda context, fit, noise_model: np.inf)
+    monkeypatch.setattr(module, "_most", lambda *given: (np.inf, np.inf))
     state = state_of(searched[0], start, fit, [cubic, last])
     swap(searched[0], state)
     assert names(state) == ["end_stop", "quadratic_drag"] and not state.accepted[0].rivals

@@ -70,12 +70,14 @@ def along_measured_motion(context: SearchContext, stage: Stage, score: Score, *,
     options = {"held": context.held, "max_steps": STEPS, "tolerance": tolerance}
     known = Term(KnownForce(), term.place, np.ones(1))
     begin = stage.candidate.with_terms((*stage.candidate.terms, known))
-    fit = refit(context.simulator, begin, [dataclasses.replace(data, scheduling=series)], white, **options)
+    # But a start.
+    simulator = context.simulator.in_first_steps(stage.candidate, data)
+    fit = refit(simulator, begin, [dataclasses.replace(data, scheduling=series)], white, **options)
     if fit is None:
         return None
     share = float(fit.candidate.terms[-1].values[0])
     sizes = np.array([parameter.amplitude for parameter in term.effect.parameters])
     values = term.effect.bounded(np.where(sizes, share * np.asarray(term.values), term.values))
     begin = fit.candidate.with_terms((*stage.candidate.terms, Term(term.effect, term.place, values)))
-    fit = refit(context.simulator, begin, context.data, white, **options)
+    fit = refit(simulator, begin, context.data, white, **options)
     return None if fit is None else fit.candidate

@@ -1,6 +1,7 @@
 """Refits of the candidates of one round: which are worth it, how each is found, and how they compare."""
 
 import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,8 +95,14 @@ def attempts_of(
             else:
                 fits[name] = end
     rejected[before:] = [one for one in rejected[before:] if (one.effect, one.location) not in fits]
+    named = _under_their_names(context, (fits | known).values())
+    return _under_their_names(context, _followed(context, named, rejected))
+
+
+def _under_their_names(context: SearchContext, ends: Iterable[tuple[Score, Refit]]) -> dict[tuple[str, str], Attempt]:
+    """Refits by the names that their contact gives them; of two of one law at one place the better."""
     attempts: dict[tuple[str, str], Attempt] = {}
-    for score, fit in _followed(context, fits | known, rejected).values():
+    for score, fit in ends:
         attempt = by_contact(context, Attempt(score, fit, noise_model_of(context, fit)))
         if attempt.name not in attempts or attempt.noise_model.cost < attempts[attempt.name].noise_model.cost:
             attempts[attempt.name] = attempt
@@ -296,28 +303,26 @@ def _beyond(context: SearchContext, base: _Base, scores: list[Score]) -> tuple[S
 
 
 def _followed(
-    context: SearchContext, fits: dict[tuple[str, str], tuple[Score, Refit]], rejected: list[Rejected]
-) -> dict[tuple[str, str], tuple[Score, Refit]]:
+    context: SearchContext, attempts: dict[tuple[str, str], Attempt], rejected: list[Rejected]
+) -> list[tuple[Score, Refit]]:
     """The refits with their forces followed in steps as short as the best of them needs; all in the same, since what
     shorter steps mend is not a law's merit."""
-    if not fits:
-        return fits
-    costs = {
-        name: noise_model_of(context, fit).cost + shape_penalty(context, score) for name, (score, fit) in fits.items()
-    }
+    if not attempts:
+        return []
+    costs = {name: one.noise_model.cost + shape_penalty(context, one.score) for name, one in attempts.items()}
     best, steps = min(costs, key=costs.get), context.simulator.steps
-    sharp = sharpened(context, fits[best][1])
-    if sharp is fits[best][1] and context.simulator.steps == steps:
-        return fits
-    near = {name: fit for name, (_, fit) in fits.items() if costs[name] - costs[best] < settings.MAX_CRITERION_GAP}
-    for name, (score, _) in fits.items():
+    sharp = sharpened(context, attempts[best].fit)
+    if sharp is attempts[best].fit and context.simulator.steps == steps:
+        return [(one.score, one.fit) for one in attempts.values()]
+    near = {name: one for name, one in attempts.items() if costs[name] - costs[best] < settings.MAX_CRITERION_GAP}
+    for name, one in attempts.items():
         if name not in near:
-            rejected.append(Rejected.of(name, score.delta_bic, dominated(costs[name] - costs[best])))
+            rejected.append(Rejected.of(name, one.score.delta_bic, dominated(costs[name] - costs[best])))
 
     def again(name):
-        return sharp if name == best else at_the_same_steps(context, near[name])
+        return sharp if name == best else at_the_same_steps(context, near[name].fit)
 
-    return {name: (fits[name][0], fit) for name, fit in zip(near, side_by_side(again, near))}
+    return [(one.score, fit) for one, fit in zip(near.values(), side_by_side(again, near))]
 
 
 def by_contact(context: SearchContext, attempt: Attempt) -> Attempt:

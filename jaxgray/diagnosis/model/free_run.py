@@ -80,12 +80,14 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
             cost, here = found
         return cost, here
 
-    rest = np.zeros(states)
-    ends = [descended(candidate, rest, steps)]
+    rest, coarse = np.zeros(states), simulator.in_first_steps(candidate, data)
+    ends = [descended(candidate, rest, steps, coarse)]
     bare = simulator.without_forces(candidate)
     if bare is not None:
-        ends.append(descended(candidate, descended(bare[1], rest, 1, bare[0])[1].x0[0], steps))
+        ends.append(descended(candidate, descended(bare[1], rest, 1, bare[0])[1].x0[0], steps, coarse))
     here = min(ends, key=lambda end: end[0])[1]
+    if coarse is not simulator:
+        here = descended(candidate, here.x0[0], steps)[1]
     if phased:
         known = _with_phases(simulator, here, phased, data, size)
         _, begun = descended(known, here.x0[0], steps)

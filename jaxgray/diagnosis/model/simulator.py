@@ -102,14 +102,14 @@ def _input_stage(flat, u, end, sampling_time, terms, count):
     return build(flat), jax.jacfwd(build)(flat)
 
 
-@stored(level=ONCE)
+# Most of a search's time goes into these two: compiled with full optimisation whatever `XLA_FLAGS` asks of all else.
+@stored(level=OFTEN)
 def _run(plant, x0, start, end, seen, slots, sampling_time, laws, scheduling, substeps):
     return plant_motion(
         plant, x0, start, end, slots, sampling_time, laws=laws, scheduling=scheduling, substeps=substeps, seen=seen
     )
 
 
-# Most of a refit's time goes here: compiled with full optimisation whatever `XLA_FLAGS` asks of everything else.
 @stored(level=OFTEN)
 def _run_and_derivative(plant, x0, start, end, seen, slots, along, sampling_time, laws, scheduling, substeps):
     more = {"laws": laws, "scheduling": scheduling, "substeps": substeps, "seen": seen}
@@ -191,7 +191,7 @@ def natural_frequencies_hz(plant: MechanicalModel | Plant) -> Float[np.ndarray, 
     return np.sort(np.sqrt(np.maximum(values.real, 0.0))) / (2 * np.pi)
 
 
-def steps_of(model: MechanicalModel, sampling_time: float) -> Steps:
+def steps_of(model: MechanicalModel | Plant, sampling_time: float) -> Steps:
     """Steps that follow added forces where the fastest mode has few samples in a period.
 
     **Arguments:** `model`; `sampling_time` [s].
@@ -350,6 +350,12 @@ class Simulator:
     def coarse(self) -> "Simulator":
         """The same in steps as a search begins with, whatever the noise: itself where its own are as long."""
         return self if self.steps.cost <= MOST_TO_BEGIN else self.in_steps(Steps(MOST_TO_BEGIN))
+
+    def in_first_steps(self, candidate: Candidate, data: Data) -> "Simulator":
+        """The same in the steps that its plant alone asks for, for what is but a start: itself where its own are as
+        long."""
+        first = steps_of(self.plant(candidate), data.sampling_time)
+        return self if self.steps.cost <= first.cost else self.in_steps(first)
 
     def _inputs_by_entry(self, data: Data) -> tuple | None:
         """By how much the entries change the inputs at start and end of every sample and, where they are seen, at the

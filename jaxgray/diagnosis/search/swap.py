@@ -94,10 +94,11 @@ def _class_again(context: SearchContext, state: SearchState, k: int) -> None:
     # The finding itself, in the place that it has now.
     own_place = dataclasses.replace(own, fit=state.fit, criterion=here)
     members, known = [], [rival.name for rival in accepted.rivals]
-    most = _most(context, state.fit, noise_model) if accepted.others else np.inf
+    most, nothing = _most(context, state.fit, k, noise_model) if accepted.others else (np.inf, np.inf)
     for rival in _distinct(accepted.compared, {one.attempt.name for one in state.accepted}):
         context.progress.stage(f"judging {rival.name[0]} in the place of {own.name[0]}")
-        fit = _beside(context, state, rival, k, noise_model, np.inf if rival.name in known else most)
+        bounds = (np.inf, np.inf) if rival.name in known else (most, nothing)
+        fit = _beside(context, state, rival, k, noise_model, *bounds)
         if fit is not None:
             worth = _worth(context, fit, noise_model) + rival.penalty
             members.append(dataclasses.replace(rival, fit=fit, criterion=worth))
@@ -192,18 +193,27 @@ def _go_on(context: SearchContext, state: SearchState, fit: Refit) -> None:
 
 
 def _beside(
-    context: SearchContext, state: SearchState, rival: Attempt, k: int, noise_model: NoiseModel, most: float
+    context: SearchContext,
+    state: SearchState,
+    rival: Attempt,
+    k: int,
+    noise_model: NoiseModel,
+    most: float,
+    nothing: float,
 ) -> Refit | None:
     """A rival in the place of the k-th term, refitted from M, D, K of the model with all findings and from its own:
-    laws differ in the stiffness that they take upon themselves. None where its cost remains above `most`."""
+    laws differ in the stiffness that they take upon themselves. None where its cost remains above `most`; `nothing`:
+    that without any law there."""
     term = next(t for t in rival.fit.candidate.terms if (t.effect.id, t.place.name) == rival.name)
     terms = tuple(term if j == k else t for j, t in enumerate(state.fit.candidate.terms))
     held = context.held
     options = {"held": held, "max_steps": STEPS, "tolerance": ROUGH}
-    # From its own M, D, K the way may be slow, but it is no wrong one.
-    begun = (state.fit.candidate, most), (rival.fit.candidate, np.inf)
+    # From its own M, D, K the way may be slow, but it is no wrong one unless it leaves more than no law does.
+    begun = (state.fit.candidate, most), (rival.fit.candidate, nothing)
+    # In steps as a search begins with: most rivals are far behind in any.
+    coarse = context.simulator.coarse
     fits = [
-        refit(context.simulator, begin.with_terms(terms), context.data, noise_model, abandon=abandon, **options)
+        refit(coarse, begin.with_terms(terms), context.data, noise_model, abandon=abandon, **options)
         for begin, abandon in begun
     ]
     best = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
@@ -213,10 +223,19 @@ def _beside(
     return best if again is None else again
 
 
-def _most(context: SearchContext, fit: Refit, noise_model: NoiseModel) -> float:
-    """Cost under a noise model from which something is far behind a refit."""
-    here = refit(context.simulator, fit.candidate, context.data, noise_model, held=context.held, max_steps=0)
-    return np.inf if here is None else here.cost * np.exp(settings.MAX_CRITERION_GAP / here.count)
+def _most(context: SearchContext, fit: Refit, k: int, noise_model: NoiseModel) -> tuple[float, float]:
+    """Cost under a noise model, in steps as a search begins with, from which something is far behind a refit; and that
+    of its model without the k-th term."""
+    without = fit.candidate.with_terms(term for j, term in enumerate(fit.candidate.terms) if j != k)
+    options = {"held": context.held, "max_steps": 0}
+    here, bare = (
+        refit(context.simulator.coarse, candidate, context.data, noise_model, **options)
+        for candidate in (fit.candidate, without)
+    )
+    if here is None:
+        return np.inf, np.inf
+    most = here.cost * np.exp(settings.MAX_CRITERION_GAP / here.count)
+    return most, np.inf if bare is None else max(bare.cost, most)
 
 
 def _worth(context: SearchContext, fit: Refit, noise_model: NoiseModel) -> float:

@@ -14,8 +14,9 @@ from ..systems.step_rows import Plant
 from .extended import output_rows, plant_run
 from .trajectory import Sampler, Series, Slots, first_state, trajectory
 
-CHUNK = 256
-"""Samples whose steps are differentiated side by side: as many as stay in cache."""
+CHUNK = 64
+"""Samples whose steps are differentiated side by side: as many as stay in a cache of 1 MB with three laws and 24
+directions. Beside 256, the Jacobian takes 0.86 of the time with one law, 0.77 with two, 0.74 with three."""
 
 
 class Directions(eqx.Module):
