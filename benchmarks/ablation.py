@@ -89,7 +89,6 @@ RULES = (
     Rule("search.confusable", "commonest_first", given("ranked")),
     Rule("search.proposals", "strong", fixed(False)),
     Rule("search.proposals", "without_failed", fixed(None)),
-    Rule("search.proposals", "under_white_noise", empty(list)),
     Rule("search.acceptance", "_is_feedback", fixed(False)),
     Rule("search.forward", "_refuted", fixed(False)),
     Rule("search.forward", "_along_branches", given("state")),

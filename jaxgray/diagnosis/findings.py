@@ -93,7 +93,6 @@ class Move(enum.Enum):
     FORCE_EQUATION = "force equation"
     STATIC_GAIN = "static gain"
     HIDDEN_MODE = "line of the residual"
-    WHITE_NOISE = "free run under white noise"
     WITH_ANOTHER = "together with a later one"
     IN_ITS_PLACE = "in the place of another"
     BEGUN_WITH = "taken in the place of another in its round"

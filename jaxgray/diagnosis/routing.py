@@ -26,7 +26,6 @@ from .equation_error.base_motion import as_forces
 from .equation_error.search import Search, Table, Trial, first_trials, table_of
 from .equation_error.unmeasured_forces import samples_of
 from .equation_error.without_unmeasured_forces import search_forces
-from .findings import Move
 from .model.free_run import overall, rms_of
 from .result import Diagnosis
 
@@ -254,13 +253,11 @@ def may_converge_in_phase(identification: Identification) -> bool:
 
 def by_force_equation(found: Diagnosis, forces: Callable[[bool], Search | None] | None) -> Diagnosis:
     """A diagnosis of free runs, or what the force equation finds, where the first is not sound and its model is twice
-    as far from windows of the held-out data. What was found under white noise, against the noise model that the record
-    gives, is not sound by itself.
+    as far from windows of the held-out data.
 
     **Arguments:** `found`; `forces`: as `asked_of_forces` gives it.
     """
     sound = found.verdict in ("named", "equivalent") and (found.gain is None or found.gain.ci95[0] > 0)
-    sound = sound and all(finding.found_by != Move.WHITE_NOISE.value for finding in found.findings)
     search = None if sound or forces is None else forces(True)
     if search is None or not search.taken:
         return found

@@ -71,12 +71,6 @@ MAX_LOSS = 100.0
 """Loss [%] in the 95 % interval of the gain on other records from which a finding is not credible: there it may double
 the error of the linear model (convention)."""
 
-MIN_RELATIVE_MOTION = 0.3
-"""Motion of held-out data relative to that of the fit from which they can refute coloured noise (benchmark)."""
-
-MIN_GAIN_WHERE_LITTLE_MOVES = 50.0
-"""Gain [%] on held-out data that refutes coloured noise where these move less (benchmark)."""
-
 # What is noise
 
 MIN_EXCESS = 1.05

@@ -13,7 +13,7 @@ from ...mechanics.effects.base import AbstractEffect
 from ...numerics.progress import AbstractProgress
 from ..model.candidate import Candidate, Data
 from ..model.simulator import Simulator
-from ..noise.whitening import NoiseModel, estimate_noise_model, white_noise_model
+from ..noise.whitening import NoiseModel, estimate_noise_model
 from ..screening.linearization import Stage, sampled_plant, stage_of
 from .gauss_newton import Refit
 
@@ -32,9 +32,8 @@ class SearchContext:
     or of the first alone;
     `first_trials`: gives its trials of the first law, where they only start refits; `trials_at_once`: whether those are
     refitted with the first candidates, not only where these leave more than noise; `out_of_phase`: whether the free run
-    is of no use unless laws of the force equation bring it into phase; `white`: whether the noise is taken for white
-    whatever a refit leaves, not estimated with it; `others`: gives linear models other than the best one, where there
-    may be some.
+    is of no use unless laws of the force equation bring it into phase; `others`: gives linear models other than the
+    best one, where there may be some.
     """
 
     simulator: Simulator
@@ -52,7 +51,6 @@ class SearchContext:
     first_trials: "Callable[[], list[Trial]] | None" = None
     trials_at_once: bool = False
     out_of_phase: bool = False
-    white: bool = False
     others: "Callable[[], tuple[Candidate, ...]] | None" = None
 
 
@@ -69,10 +67,6 @@ _noise_models: "weakref.WeakKeyDictionary[Refit, tuple[Data, NoiseModel]]" = wea
 
 def noise_model_of(context: SearchContext, fit: Refit) -> NoiseModel:
     """The noise model of what a refit leaves of the first record; estimated once, however often it is asked for."""
-    if context.white:
-        data = context.data[0]
-        system = sampled_plant(context.simulator.plant(fit.candidate), data, context.simulator.setup.outputs)
-        return white_noise_model(fit.residual[0], data.kept, system)
     data, known = context.data[0], _noise_models.get(fit)
     if known is None or known[0] is not data:
         _noise_models[fit] = known = data, _estimated(context, fit, data)

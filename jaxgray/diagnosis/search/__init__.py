@@ -30,8 +30,7 @@ If no candidate passes, the round goes on to further *moves*, in this order, unt
 
     1   a second score test, in which the effects that have just failed take no part
     2   a hidden mode (a coordinate without sensor) at every line in the spectrum of the residual (`starts`)
-    3   refits under white noise: of the failed candidates, and of those that a score test under white noise gives
-    4   the best candidate that failed only for its gain on held-out data is kept for one more round; both stay if
+    3   the best candidate that failed only for its gain on held-out data is kept for one more round; both stay if
         another one passes in that round, otherwise neither
 
 The search ends when the score test shows nothing, when no move succeeds, or with `max_effects` effects. If the score
@@ -43,10 +42,10 @@ stop by how often it is left there.
 
 state         the search state: structure, refit, what was accepted, what was refused and why
 forward       the rounds
-proposals     the candidates of a round and of moves 1 to 3, refitted from their starts
+proposals     the candidates of a round and of moves 1 and 2, refitted from their starts
 acceptance    the clauses that judge a refit in this search, for the rule of `diagnosis.acceptance`
 confusable    which laws resemble one another, and which contain another one
-provisional   move 4
+provisional   move 3
 backward      pruning
 swap          accepted laws compared once more beside later ones; the last refits of all
 parts         the search on a part of a long record, followed by a refit on all of it; candidates from the force

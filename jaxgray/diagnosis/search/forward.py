@@ -14,8 +14,7 @@ from ..estimation.context import SearchContext, stage_of_candidate
 from ..estimation.multistart import Attempt, compared, shape_penalty, unresolved
 from ..estimation.significance import at_bound
 from ..findings import Move, Reason, Refusal, Rejected
-from ..model.candidate import Candidate, Data
-from ..model.free_run import overall, rms_of
+from ..model.candidate import Candidate
 from ..model.held_out_gain import gain_of
 from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import screen_simulated
@@ -30,7 +29,6 @@ from .proposals import (
     given_up,
     refitted,
     strong,
-    under_white_noise,
     without_failed,
 )
 from .provisional import accept_provisionally, may_be_provisional, refit_for_free_run, revert_provisional
@@ -162,12 +160,6 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     tried = frozenset(attempt.name for attempt in ranked)
     if _accepted(context, state, hidden_modes(context, state.stage, screening, tried), Move.HIDDEN_MODE):
         return 1
-    white = dataclasses.replace(context, white=True)
-    least = 100 * settings.MIN_EXPLAINED_SHARE if _moves(context) else settings.MIN_GAIN_WHERE_LITTLE_MOVES
-    if _largest_gain(context, state, ranked) >= least:
-        free = under_white_noise(white, state, screening, closer, ranked)
-        if _accepted(white, state, free, Move.WHITE_NOISE, least=least, most=1):
-            return 1
     refuted = screening.fires and _refuted(context, state, ranked, searched)
     state.unexplained = screening.fires and not refuted
     # A provisional finding needs another round, in which a second one may confirm it.
@@ -179,25 +171,6 @@ def _tried_by_forces(context: SearchContext, state: SearchState, left: int) -> b
     pass for noise."""
     first = left > 0 and context.trials_at_once and context.out_of_phase and not state.stage.candidate.terms
     return first and context.first_trials is not None and bool(context.first_trials())
-
-
-def _largest_gain(context: SearchContext, state: SearchState, ranked: list[Attempt]) -> float:
-    """Gain on held-out data [%] of a law that leaves nothing: no refit can gain more."""
-    if not context.validation:
-        return 0.0
-    left, baseline = (overall(rms_of(runs), floor_of(context, ranked)) for runs in (state.runs, state.baseline_runs))
-    return 100 * left / baseline
-
-
-def _moves(context: SearchContext) -> bool:
-    """Whether some held-out data move at every output about as the data of the fit do."""
-
-    def size(data: Data) -> np.ndarray:
-        y = np.where(data.kept, data.y, np.nan)[: data.samples]
-        return np.nanstd(y, axis=0)
-
-    least = settings.MIN_RELATIVE_MOTION * size(context.data[0])
-    return any(np.all(size(held) >= least) for held in context.validation)
 
 
 def _refuted(
@@ -231,10 +204,9 @@ def _accepted(
     ranked: list[Attempt],
     move: Move = Move.SCORE_TEST,
     *,
-    least: float = -np.inf,
     most: int | None = None,
 ) -> bool:
-    """Accept the best candidate that holds and surely gains `least` [%], among the first `most`; whether one did."""
+    """Accept the best candidate that holds, among the first `most`; whether one did."""
     floor, unsure, ahead = floor_of(context, sorted(ranked, key=lambda one: one.criterion)), [], []
     judged = len(ranked) if most is None else most
     ranked = commonest_first(ranked[:judged], context.catalogue) + ranked[judged:]
@@ -247,9 +219,6 @@ def _accepted(
             again, more, after = tested(context, state, free, floor)
             if again is None:
                 attempt, why, gain, runs = free, again, more, after
-        if why is None and gain.ci99_lower < least:
-            words = f"coloured noise could do the same, and no more than {gain.ci99_lower:.0f} % is a sure gain"
-            why = Refusal(Reason.NO_SURE_GAIN, words)
         if why is None:
             rivals, others, refused = _class_of(context, attempt, unsure + ranked[k + 1 :])
             # What was refused for its error alone, and explains as much or more, may be it all the same.
@@ -276,7 +245,7 @@ def _take(context: SearchContext, state: SearchState, accepted: Accepted) -> Non
     state.rejected = [one for one in state.rejected if (one.effect, one.location) not in names]
     prune(context, state)
     if len(state.accepted) == len(names):
-        swap(dataclasses.replace(context, white=False), state)
+        swap(context, state)
     for_the_free_run(context, state)
 
 

@@ -4,18 +4,17 @@ import dataclasses
 
 import numpy as np
 
-from ...numerics.programs.side_by_side import side_by_side
 from .. import settings
-from ..estimation.context import SearchContext, noise_model_of
-from ..estimation.multistart import Attempt, attempts_of, compared, unresolved
+from ..estimation.context import SearchContext
+from ..estimation.multistart import Attempt, attempts_of, compared
 from ..estimation.profile_scan import predictable
 from ..findings import Reason, Rejected
 from ..model.own_laws import told_apart
 from ..noise.floor import more_than_noise
-from ..noise.whitening import estimate_noise_model, white_noise_model
+from ..noise.whitening import white_noise_model
 from ..screening.linearization import Stage, screen_simulated, screen_smoothed
 from ..screening.score_test import Screening
-from ..screening.shortlist import adds_mode, listed_with, shortlist
+from ..screening.shortlist import listed_with, shortlist
 from ..starts.equation_error import from_first_trials, from_forces
 from ..starts.force_matching import force_matched
 from ..starts.lookalikes import (
@@ -30,8 +29,7 @@ from ..starts.other_models import from_other_models
 from ..starts.user_model import wrong_entries
 from ..starts.windows import changes_over_time
 from .confusable import look_alikes
-from .provisional import refit_for_free_run
-from .state import SearchState, is_local
+from .state import SearchState
 
 
 def refitted(context: SearchContext, state: SearchState, screening: Screening, closer: Screening) -> list[Attempt]:
@@ -47,7 +45,7 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
     ranked = compared(context, stage, list(attempts.values()))
     forced = from_forces(context, stage, screening)
     if not ranked or more_than_noise(ranked[0].fit.residual[0], context.data[0]):
-        forced += [] if context.trials_at_once or context.white else from_first_trials(context, stage, screening)
+        forced += [] if context.trials_at_once else from_first_trials(context, stage, screening)
         forced += from_other_models(context, stage)
     if forced:
         ranked = _better_ones(compared(context, stage, ranked + forced))
@@ -128,38 +126,3 @@ def without_failed(
     stage = dataclasses.replace(state.stage, ruled_out=state.ruled_out | gone)
     screening = screen_simulated(stage, context.data[0], searched, context.names, rng=context.rng)
     return (screening, closer_screening(context, stage, screening)) if screening.fires else None
-
-
-def under_white_noise(
-    context: SearchContext, state: SearchState, screening: Screening, closer: Screening, ranked: list[Attempt]
-) -> list[Attempt]:
-    """Candidates refitted under white noise, best first, none without other data to judge them by; begun as any, and
-    where they ended under the noise that was estimated (`ranked`).
-
-    Where a second effect is missing, the noise model that is estimated passes most of the residual for coloured noise,
-    and its criterion then asks what the noise is like and not what brings the free run nearer.
-    """
-    stage, data = state.stage, context.data[0]
-    if not context.validation or state.provisional is not None:
-        return []
-    noise_model = white_noise_model(stage.e, data.kept, stage.system)
-    screening, closer = (dataclasses.replace(s, scores=s.white, noise_model=noise_model) for s in (screening, closer))
-
-    def again(attempt: Attempt) -> Attempt:
-        context.progress.stage(f"refitting {attempt.name[0]} at {attempt.name[1]} for the free run")
-        return dataclasses.replace(refit_for_free_run(context, state, attempt), noise_model=noise_model)
-
-    best = _better_ones(
-        compared(context, stage, refitted(context, state, screening, closer) + side_by_side(again, ranked))
-    )
-    # A mode rings as coloured noise does.
-    lasting = [a for a in best if not is_local(context, a.score.shape.effect) and not adds_mode(a.score.shape.effect)]
-    # What coloured noise explains as well is no law: each model with the noise that it is estimated to leave.
-    own = dataclasses.replace(context, white=False)
-    coloured = estimate_noise_model(stage.e, data.kept, stage.system, stage.force).cost
-
-    def evident(attempt: Attempt) -> bool:
-        return coloured - noise_model_of(own, attempt.fit).cost - attempt.penalty >= settings.MIN_DELTA_BIC
-
-    clear = (a for a in lasting if a.delta_bic > settings.CLEAR_DELTA_BIC and unresolved(a.fit, a.score) is None)
-    return [attempt for attempt in clear if evident(attempt)]

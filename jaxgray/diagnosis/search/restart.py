@@ -26,7 +26,7 @@ def for_the_free_run(context: SearchContext, state: SearchState) -> None:
 
     **Arguments:** `context`; `state`: changed in place, with an effect in it.
     """
-    if context.white or not more_than_noise(state.fit.residual[0], context.data[0]):
+    if not more_than_noise(state.fit.residual[0], context.data[0]):
         return
     context.progress.stage("refitting for the free run")
     _keep(context, state, _refitted(context, state, state.fit.candidate))
