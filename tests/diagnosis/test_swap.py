@@ -23,7 +23,7 @@ from jaxgray.diagnosis.search import backward, forward
 from jaxgray.diagnosis.search import swap as module
 from jaxgray.diagnosis.search.state import Accepted, SearchState, held_out_run
 from jaxgray.diagnosis.search.swap import swap
-from jaxgray.mechanics.effects import by_id
+from jaxgray.mechanics.effects import CATALOGUE, by_id
 from jaxgray.mechanics.effects.base import Place, Scales, Term
 from jaxgray.numerics.progress import Silent
 
@@ -248,6 +248,17 @@ def test_a_simpler_law_that_a_finding_contains_is_compared_with_it_beside_later_
     # Where the record does not show it, there is nothing to begin with.
     del seen["coulomb_friction", "y1"], seen["quadratic_drag", "y1"], seen["stribeck_friction", "y1"]
     assert forward._compared_later(context, state, attempt) == []
+
+
+def test_what_is_easily_taken_for_a_finding_is_compared_with_it_where_it_explains_most(searched):
+    context, accepted, _, _ = searched
+    attempt = accepted[0].attempt
+    worth = {("end_stop", "y1"): 2e3, ("end_stop", "y2"): 3e3, ("sine_stiffness", "y1"): 50.0, ("play", "u1"): 9e3}
+    hardening = dataclasses.replace(attempt.score.shape, effect=by_id("cubic_stiffness"))
+    attempt = dataclasses.replace(attempt, score=dataclasses.replace(attempt.score, shape=hardening))
+    context = dataclasses.replace(context, catalogue=CATALOGUE)
+    known = {name: dataclasses.replace(attempt.score, delta_bic=value) for name, value in worth.items()}
+    assert forward._look_alikes_there(context, known, attempt) == [("end_stop", "y2")]
 
 
 @pytest.mark.parametrize("case", ["likelier", "explained", "resembles", "weak", "farther", "refused", "as likely"])

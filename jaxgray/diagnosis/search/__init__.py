@@ -20,11 +20,11 @@ round:
     Prune     a law accepted before that the new one contains becomes part of it; one law takes the place of two that
               resemble each other, at one place, if it explains as much; laws that have become needless are dropped
     Swap      every law accepted before is compared again, in the model with the new one, with its class, with simpler
-              laws that it contains, with what scored higher, and with what was refitted in its round and explained
-              less, or had no sure gain: the best one that holds there replaces it. A law whose amplitude is no longer
-              significant gives way to one as good that is, and one whose further parameters explain nothing any more
-              to the simpler law. Laws before one that was replaced are compared beside it once more. Then the next
-              round
+              laws that it contains, with what scored higher, with what resembles it, and with what was refitted in its
+              round and explained less, or had no sure gain: the best one that holds there replaces it. A law whose
+              amplitude is no longer significant gives way to one as good that is, and one whose further parameters
+              explain nothing any more to the simpler law. Laws before one that was replaced are compared beside it
+              once more. Then the next round
 
 If no candidate passes, the round goes on to further *moves*, in this order, until one succeeds:
 

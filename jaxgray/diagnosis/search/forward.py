@@ -18,12 +18,13 @@ from ..model.candidate import Candidate
 from ..model.held_out_gain import gain_of
 from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import screen_simulated
+from ..screening.score_test import Score
 from ..starts.equation_error import force_equation_finds, from_forces
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
 from .backward import prune
-from .confusable import alike, commonest_first, needless, resemble
+from .confusable import alike, commonest_first, look_alikes, needless, resemble
 from .proposals import (
     closer_screening,
     given_up,
@@ -297,13 +298,15 @@ def _class_of(
 
 def _compared_later(context: SearchContext, state: SearchState, attempt: Attempt) -> list[Attempt]:
     """What may take the place of an attempt once other laws are there: what it may turn out to be, simpler laws that it
-    contains, with its own values, and what explained more to first order. Begun where the score test has it."""
+    contains, with its own values, what explained more to first order, and what is easily taken for it. Begun where the
+    score test has it."""
     found, term = [], attempt.fit.candidate.terms[-1]
     known, own = state.screening.best_by_place(), dict(zip((p.name for p in term.effect.parameters), term.values))
     names = [(law, term.place.name) for law in (*term.effect.becomes, *term.effect.contains)]
     most = known[attempt.name].delta_bic if attempt.name in known else np.inf
     ahead = [(name, score.shape.effect) for name, score in known.items() if score.delta_bic > most]
     names += [name for name, law in ahead if name[0] != FlexibleForce.id and attempt.name[0] not in law.contains]
+    names += _look_alikes_there(context, known, attempt)
     for name in (name for name in dict.fromkeys(names) if name in known):
         one = known[name].shape.term(known[name].weights)
         if name[0] in term.effect.contains:
@@ -314,6 +317,18 @@ def _compared_later(context: SearchContext, state: SearchState, attempt: Attempt
         worth = {"penalty": shape_penalty(context, score), "delta_bic": score.delta_bic}
         found.append(dataclasses.replace(attempt, score=score, fit=fit, **worth))
     return found[:MOST_COMPARED]
+
+
+def _look_alikes_there(
+    context: SearchContext, known: dict[tuple[str, str], Score], attempt: Attempt
+) -> list[tuple[str, str]]:
+    """Laws that are easily taken for an attempt's, each where it explains most to first order, best first: where others
+    were missing, one of them may have ended far behind."""
+    laws, best = look_alikes(attempt.score.shape.effect, context.catalogue), {}
+    clear = (one for one in known.items() if one[0][0] in laws and one[1].delta_bic > settings.CLEAR_DELTA_BIC)
+    for name, _ in sorted(clear, key=lambda one: -one[1].delta_bic):
+        best.setdefault(name[0], name)
+    return list(best.values())
 
 
 def _may_swap(context: SearchContext, attempt: Attempt, other: Attempt) -> bool:
