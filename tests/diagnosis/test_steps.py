@@ -12,6 +12,7 @@ import jaxgray
 from jaxgray.diagnosis.estimation.continuation import MOST_STEPS, in_short_steps, integration_error
 from jaxgray.diagnosis.model.baseline import baseline_of
 from jaxgray.diagnosis.model.candidate import Data
+from jaxgray.diagnosis.model.free_run import free_run
 from jaxgray.diagnosis.model.simulator import Simulator, Steps
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place, Term
@@ -60,6 +61,29 @@ def test_what_goes_with_the_square_of_the_steps_is_extrapolated_away():
     extrapolated = [off(*posed_case, Steps(count, extrapolated=True)) for count in (8, 16)]
     assert 3.0 < plain[0] / plain[1] < 5.0
     assert extrapolated[0] < plain[1] / 3 and extrapolated[0] / extrapolated[1] > 6.0
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_held_out_run_ends_in_its_own_steps_wherever_they_begin(law, monkeypatch):
+    simulator, candidate, data, q = posed(law, 1e-3)
+    fine = simulator.in_steps(Steps(16))
+    found = free_run(fine, candidate, data)
+    assert fine.in_first_steps(fine.plant(candidate), data).steps == Steps(1)
+    monkeypatch.setattr(Simulator, "in_first_steps", lambda self, *given: self)
+    straight = free_run(fine, candidate, data)
+    assert np.allclose(found.simulated, straight.simulated, rtol=0, atol=1e-4 * np.std(q))
+
+
+def test_where_longer_steps_run_away_a_held_out_run_begins_in_its_own(monkeypatch):
+    simulator, candidate, data, q = posed("cubic_stiffness", 1e-3)
+    fine, run = simulator.in_steps(Steps(16)), Simulator.run
+
+    def overflows(self, *given):
+        return run(self, *given) * (np.inf if self.steps == Steps(1) and given[0].terms else 1.0)
+
+    monkeypatch.setattr(Simulator, "run", overflows)
+    found = free_run(fine, candidate, data)
+    assert np.std((found.simulated[:SAMPLES] - q)[found.kept[:SAMPLES]]) < 0.01 * np.std(q)
 
 
 def test_slopes_are_those_of_the_extrapolated_run():

@@ -81,8 +81,11 @@ def names(state):
     return [one.attempt.name[0] for one in state.accepted]
 
 
-def test_what_explains_more_beside_later_findings_takes_the_place(searched):
+@pytest.mark.parametrize("steps", [4, 16], ids=["as begun with", "shorter"])
+def test_what_explains_more_beside_later_findings_takes_the_place(searched, steps):
     context, accepted, start, fit = searched
+    # Rivals are told apart in steps as a search begins with, and end in its own.
+    context = dataclasses.replace(context, simulator=context.simulator.in_steps(Steps(steps)))
     state = state_of(context, start, fit, accepted)
     before, runs = np.std(fit.residual[0]), state.runs
     swap(context, state)
@@ -252,13 +255,26 @@ def test_a_simpler_law_that_a_finding_contains_is_compared_with_it_beside_later_
 
 def test_what_is_easily_taken_for_a_finding_is_compared_with_it_where_it_explains_most(searched):
     context, accepted, _, _ = searched
-    attempt = accepted[0].attempt
-    worth = {("end_stop", "y1"): 2e3, ("end_stop", "y2"): 3e3, ("sine_stiffness", "y1"): 50.0, ("play", "u1"): 9e3}
-    hardening = dataclasses.replace(attempt.score.shape, effect=by_id("cubic_stiffness"))
-    attempt = dataclasses.replace(attempt, score=dataclasses.replace(attempt.score, shape=hardening))
+    stop, cubic = accepted[0].attempt, accepted[0].others[0]
     context = dataclasses.replace(context, catalogue=CATALOGUE)
-    known = {name: dataclasses.replace(attempt.score, delta_bic=value) for name, value in worth.items()}
-    assert forward._look_alikes_there(context, known, attempt) == [("end_stop", "y2")]
+
+    def compared(attempt, worth):
+        def score(name, place, value):
+            shape = Shape(by_id(name), Place(place, int(place[1]) - 1), np.full(7, 0.5), (), None, 1)
+            shape = dataclasses.replace(shape, values=shape.values[: len(shape.effect.parameters)])
+            return Score(shape, np.ones(1), 0.0, value, 0.0, 0.0, 0)
+
+        known = {(name, place): score(name, place, value) for name, place, value in worth}
+        state = SimpleNamespace(screening=SimpleNamespace(best_by_place=lambda: known))
+        return [one.name for one in forward._compared_later(context, state, attempt)]
+
+    worth = [("cubic_stiffness", "y1", 9e3), ("sine_stiffness", "y1", 2e3), ("sine_stiffness", "y2", 3e3)]
+    worth += [("dead_zone_stiffness", "y1", 4e3), ("end_stop", "y1", 5e3), ("coulomb_friction", "y1", 4e3)]
+    # Backlash and end stop are one law, which stands in its own place already.
+    assert compared(stop, [*worth[1:4], ("end_stop", "y1", 9e3)]) == [("sine_stiffness", "y2")]
+    assert compared(cubic, worth) == [("end_stop", "y1"), ("sine_stiffness", "y2")]
+    # Nor is what explains little to first order.
+    assert compared(cubic, [*worth[:1], ("sine_stiffness", "y1", 50.0)]) == []
 
 
 @pytest.mark.parametrize("case", ["likelier", "explained", "resembles", "weak", "farther", "refused", "as likely"])

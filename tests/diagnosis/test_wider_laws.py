@@ -166,7 +166,9 @@ def test_a_law_that_was_given_up_comes_back_by_a_wider_one(refits, monkeypatch):
         return {}, {} if name == COULOMB else {STRIBECK: of_place("y1", -300.0)}
 
     monkeypatch.setattr(multistart, "_outright", outright)
-    monkeypatch.setattr(multistart, "_followed", lambda context, fits, rejected: fits)
+    monkeypatch.setattr(
+        multistart, "_followed", lambda context, found, rejected: [(a.score, a.fit) for a in found.values()]
+    )
     monkeypatch.setattr(multistart, "by_contact", lambda context, attempt: attempt)
     monkeypatch.setattr(multistart, "noise_model_of", lambda context, fit: SimpleNamespace(cost=0.0))
     listed = [[score_of("stribeck_friction", 0.1, 0.1, 0.1, 1e-3)], [score_of("coulomb_friction", 0.2, 1e-3)]]

@@ -70,8 +70,7 @@ def along_measured_motion(context: SearchContext, stage: Stage, score: Score, *,
     options = {"held": context.held, "max_steps": STEPS, "tolerance": tolerance}
     known = Term(KnownForce(), term.place, np.ones(1))
     begin = stage.candidate.with_terms((*stage.candidate.terms, known))
-    # But a start.
-    simulator = context.simulator.in_first_steps(stage.candidate, data)
+    simulator = context.simulator.in_first_steps(stage.plant, data)
     fit = refit(simulator, begin, [dataclasses.replace(data, scheduling=series)], white, **options)
     if fit is None:
         return None

@@ -80,14 +80,17 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
             cost, here = found
         return cost, here
 
-    rest, coarse = np.zeros(states), simulator.in_first_steps(candidate, data)
-    ends = [descended(candidate, rest, steps, coarse)]
-    bare = simulator.without_forces(candidate)
+    starts, bare = [np.zeros(states)], simulator.without_forces(candidate)
+    coarse = simulator if bare is None else simulator.in_first_steps(bare[0].plant(bare[1]), data)
     if bare is not None:
-        ends.append(descended(candidate, descended(bare[1], rest, 1, bare[0])[1].x0[0], steps, coarse))
-    here = min(ends, key=lambda end: end[0])[1]
+        starts.append(descended(bare[1], starts[0], 1, bare[0])[1].x0[0])
+    ends = [descended(candidate, start, steps, coarse) for start in starts]
     if coarse is not simulator:
-        here = descended(candidate, here.x0[0], steps)[1]
+        # The nearer one in the simulator's own steps; both where they run away in longer ones.
+        nearer = min(ends, key=lambda end: end[0])
+        starts = [nearer[1].x0[0]] if np.isfinite(nearer[0]) else starts
+        ends = [descended(candidate, start, steps) for start in starts]
+    here = min(ends, key=lambda end: end[0])[1]
     if phased:
         known = _with_phases(simulator, here, phased, data, size)
         _, begun = descended(known, here.x0[0], steps)

@@ -351,10 +351,10 @@ class Simulator:
         """The same in steps as a search begins with, whatever the noise: itself where its own are as long."""
         return self if self.steps.cost <= MOST_TO_BEGIN else self.in_steps(Steps(MOST_TO_BEGIN))
 
-    def in_first_steps(self, candidate: Candidate, data: Data) -> "Simulator":
-        """The same in the steps that its plant alone asks for, for what is but a start: itself where its own are as
-        long."""
-        first = steps_of(self.plant(candidate), data.sampling_time)
+    def in_first_steps(self, plant: Plant, data: Data) -> "Simulator":
+        """The same in the steps that a plant alone asks for, where only a start is wanted: itself where its own are as
+        long or longer."""
+        first = steps_of(plant, data.sampling_time)
         return self if self.steps.cost <= first.cost else self.in_steps(first)
 
     def _inputs_by_entry(self, data: Data) -> tuple | None:

@@ -307,7 +307,11 @@ def _compared_later(context: SearchContext, state: SearchState, attempt: Attempt
     ahead = [(name, score.shape.effect) for name, score in known.items() if score.delta_bic > most]
     names += [name for name, law in ahead if name[0] != FlexibleForce.id and attempt.name[0] not in law.contains]
     names += _look_alikes_there(context, known, attempt)
-    for name in (name for name in dict.fromkeys(names) if name in known):
+    # Of one law under two names one at a place, where the attempt is none of them.
+    own_law, laws = _law_there(term.effect, term.place.name), {}
+    for name in (name for name in names if name in known):
+        laws.setdefault(_law_there(known[name].shape.effect, name[1]), name)
+    for name in (name for law, name in laws.items() if law != own_law):
         one = known[name].shape.term(known[name].weights)
         if name[0] in term.effect.contains:
             values = [own.get(p.name, value) for p, value in zip(one.effect.parameters, one.values)]
@@ -317,6 +321,10 @@ def _compared_later(context: SearchContext, state: SearchState, attempt: Attempt
         worth = {"penalty": shape_penalty(context, score), "delta_bic": score.delta_bic}
         found.append(dataclasses.replace(attempt, score=score, fit=fit, **worth))
     return found[:MOST_COMPARED]
+
+
+def _law_there(effect: AbstractEffect, place: str) -> tuple:
+    return effect.by_contact or effect.id, place
 
 
 def _look_alikes_there(

@@ -23,7 +23,8 @@ MOST_COMPARED = 4
 class Accepted:
     """A finding of the loop: `attempt`, its `rivals` (the rest of the class), `gain`; `runs`: held-out free runs;
     `move`: how it came in; `others`: what was refitted with it and explained less, though not far less, or
-    had no sure gain, what it may turn out to be, what it contains, and what scored higher."""
+    had no sure gain, what it may turn out to be, what it contains, what scored higher, and what is easily taken for
+    it."""
 
     attempt: Attempt
     rivals: tuple[Attempt, ...]

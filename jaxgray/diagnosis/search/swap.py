@@ -203,12 +203,12 @@ def _beside(
 ) -> Refit | None:
     """A rival in the place of the k-th term, refitted from M, D, K of the model with all findings and from its own:
     laws differ in the stiffness that they take upon themselves. None where its cost remains above `most`; `nothing`:
-    that without any law there."""
+    that of the other findings as they are, with no law there."""
     term = next(t for t in rival.fit.candidate.terms if (t.effect.id, t.place.name) == rival.name)
     terms = tuple(term if j == k else t for j, t in enumerate(state.fit.candidate.terms))
     held = context.held
     options = {"held": held, "max_steps": STEPS, "tolerance": ROUGH}
-    # From its own M, D, K the way may be slow, but it is no wrong one unless it leaves more than no law does.
+    # From its own M, D, K the way may be slow, but it is no wrong one unless it leaves more than the others alone.
     begun = (state.fit.candidate, most), (rival.fit.candidate, nothing)
     # In steps as a search begins with: most rivals are far behind in any.
     coarse = context.simulator.coarse
@@ -219,13 +219,12 @@ def _beside(
     best = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
     if best is None or best.cost > most:
         return None
-    again = refit(context.simulator, best.candidate, context.data, noise_model, held=held, max_steps=STEPS)
-    return best if again is None else again
+    return refit(context.simulator, best.candidate, context.data, noise_model, held=held, max_steps=STEPS)
 
 
 def _most(context: SearchContext, fit: Refit, k: int, noise_model: NoiseModel) -> tuple[float, float]:
     """Cost under a noise model, in steps as a search begins with, from which something is far behind a refit; and that
-    of its model without the k-th term."""
+    of its model with the k-th term left out, all else as it is."""
     without = fit.candidate.with_terms(term for j, term in enumerate(fit.candidate.terms) if j != k)
     options = {"held": context.held, "max_steps": 0}
     here, bare = (
