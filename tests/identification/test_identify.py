@@ -146,20 +146,34 @@ def test_truth_on_the_edge(truth, said):
     assert np.all(np.isfinite(found.covariance))
 
 
-def test_start_on_the_edge_with_a_regular_truth():
-    from jax import numpy as jnp
-
+def refined_on_the_edge(truth, start):
+    """Where the refinement ends from a start in physical units, and the relative errors there."""
     from jaxgray.identification.refinement.refine import refine
     from jaxgray.identification.setup.prediction import Batch, Setting
 
-    record = record_of(6, noise=0.0)
+    record = record_of(6, noise=0.0, truth=truth)
     scaling = scaling_of([record])
-    model = MechanicalModel(*TRUTH)
+    model = MechanicalModel(*truth)
     setting = Setting(model.drive.scaled(scaling.coordinates, scaling.inputs, H), record.measured, record.hold)
-    M, D, K = scaling.matrices_in(*(jnp.asarray(X) for X in TRUTH))
-    rank_one = [jnp.outer(X[:, 0], X[:, 0]) / X[0, 0] for X in (D, K)]
-    end = refine((1.1 * M, *rank_one), Batch.of([prepare(record, scaling)]), setting)
-    assert data.relative_errors(scaling.matrices_out(end.mass, end.damping, end.stiffness), TRUTH).max() < 1e-6
+    end = refine(scaling.matrices_in(*start), Batch.of([prepare(record, scaling)]), setting)
+    return end, data.relative_errors(scaling.matrices_out(end.mass, end.damping, end.stiffness), truth).max()
+
+
+def test_start_on_the_edge_with_a_regular_truth():
+    rank_one = [np.outer(X[:, 0], X[:, 0]) / X[0, 0] for X in TRUTH[1:]]
+    assert refined_on_the_edge(TRUTH, (1.1 * TRUTH[0], *rank_one))[1] < 1e-6
+
+
+@pytest.mark.parametrize("settles", [True, False], ids=["over the cone", "by Cholesky factors"])
+def test_start_on_the_edge_where_the_truth_is(settles, monkeypatch):
+    """A drive that turns freely: Cholesky factors crawl along the edge, steps over the cone do not."""
+    from jaxgray.identification.refinement import refine as refinement
+
+    if not settles:
+        monkeypatch.setattr(refinement, "_straight", lambda start, criterion: None)
+    end, error = refined_on_the_edge((TRUTH[0], TRUTH[1], K_FREE), (1.1 * TRUTH[0], 0.8 * TRUTH[1], 0.9 * K_FREE))
+    assert error < 1e-6
+    assert (sum(end.steps) < 30) == settles, end.steps
 
 
 @pytest.mark.slow

@@ -2,7 +2,8 @@
 
 The Cholesky factors of M, D and K make every step physical, but they stand still at the edge of the cone,
 where a model with a rigid-body mode or without damping lives. So the optimiser's answer is never the last
-word: `conic` continues in the entries of the matrices, with the cone as a constraint.
+word: `conic` continues in the entries of the matrices, with the cone as a constraint. Where a start lies at the
+edge, steps over the cone are tried before them.
 """
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from ..setup.structure import Structure
 from .cholesky import (
     NEAR,
     NEAR_EDGE,
+    CholeskyEnd,
     at_start,
     cholesky_steps,
     likelihood_cost,
@@ -40,6 +42,9 @@ a direction that starts hundreds of times too soft may never find its frequency 
 
 _BOLDNESS = 30.0
 """The optimiser's first damping is 1: with Jacobian columns of this norm it is a thousandth of the curvature."""
+
+STRAIGHT = 20
+"""Most steps over the cone from beside its edge before those of Cholesky factors are taken, which need hundreds."""
 
 POOR = 0.3
 """Share of any output's power left by the start from which it is brought nearer first."""
@@ -236,11 +241,16 @@ def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovati
         here, first = start_end.at, start_end.products
     elif fixed is None or not np.any(fixed):
         edge = differ(here.blocks, begun(LIFTS[0]).blocks)
-        # At the edge the start itself may be better than what Cholesky factors make of it.
+        # At the edge the start itself may be better than what any steps make of it.
         ends = [at_start(here, criterion, first)] if edge else []
-        for lift in LIFTS if edge else LIFTS[:1]:
-            known = None if edge else first
-            ends.append(cholesky_steps(begun(lift), criterion, first=known, near=NEAR_EDGE if edge else NEAR))
+        if edge and not innovations:
+            straight = _straight(begun(LIFTS[0]), criterion)
+            if straight is not None and straight.cost <= ends[0].cost + SLACK:
+                ends.append(straight)
+        if len(ends) < 2:
+            for lift in LIFTS if edge else LIFTS[:1]:
+                known = None if edge else first
+                ends.append(cholesky_steps(begun(lift), criterion, first=known, near=NEAR_EDGE if edge else NEAR))
         taken = sum(end.steps for end in ends)
         best = min(ends, key=lambda end: end.cost)
         here, first = best.at, best.products
@@ -266,6 +276,17 @@ def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovati
     if not np.isfinite(end.normal.cost):
         raise ComputationError(RESULTS.refinement_diverged, stage="refinement")
     return _refinement(end, criterion, taken, result)
+
+
+def _straight(start: Iterate, criterion: Criterion) -> CholeskyEnd | None:
+    """Where steps over the cone end from beside its edge, as an end beside those of `cholesky_steps`, which crawl
+    along the edge; None where they do not settle."""
+    try:
+        end = conic_steps(start, criterion, max_steps=STRAIGHT)
+    except ComputationError:
+        return None
+    cost = likelihood_cost(end.products, criterion)
+    return CholeskyEnd(end.at, end.products, cost, end.steps) if end.converged else None
 
 
 def _with_force_noise(at: Iterate, criterion: Criterion, batch: Batch, setting: Setting):
