@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import jaxgray
-from jaxgray.diagnosis.model.candidate import Data
+from jaxgray.diagnosis.model.candidate import Candidate, Data
 from jaxgray.diagnosis.search.parts import missed_share
 from jaxgray.diagnosis.starts import windows
+from jaxgray.mechanics.effects import by_id
+from jaxgray.mechanics.effects.base import Place
 
 H = 0.01
 
@@ -116,6 +118,32 @@ def test_a_law_begins_with_what_all_windows_determine_of_it(monkeypatch):
     between, none = windows._fused(context, None, given, equations, course)
     assert none == 0.0 and min(truth[1], truth[1] + size * law[1]) < between[1] < truth[1]
     assert windows._fused(context, None, given, [*equations[:3], lambda candidate: None], course) is None
+
+
+@pytest.mark.parametrize(("left", "carried_on"), [(0.02, True), (0.7, False)])
+def test_a_change_that_the_whole_record_does_not_show_is_not_carried_on(left, carried_on, monkeypatch):
+    """Windows bend to dry friction, whose model of the whole record then leaves most of the residual."""
+    law = by_id("stiffness_drift")
+    names = [parameter.name for parameter in law.parameters]
+    shape = types.SimpleNamespace(effect=law, place=Place("y1", 0), values=np.zeros(len(names)))
+    change = windows._Change(types.SimpleNamespace(shape=shape), np.zeros(3), np.zeros(2), -4.0, None, 0.02, 500)
+    setup = types.SimpleNamespace(matrices=lambda entries: (entries,), entries_of=lambda X: X)
+    progress = types.SimpleNamespace(stage=lambda text: None)
+    context = types.SimpleNamespace(
+        simulator=types.SimpleNamespace(setup=setup), progress=progress, data=None, held=None
+    )
+    stage = types.SimpleNamespace(candidate=Candidate(np.zeros(3), (np.zeros(2),)))
+    monkeypatch.setattr(
+        windows, "refit", lambda simulator, begin, *rest, **more: types.SimpleNamespace(candidate=begin)
+    )
+    monkeypatch.setattr(windows, "squares_left", lambda context, one, noise: left if one.terms else 1.0)
+    monkeypatch.setattr(windows, "refit_to_convergence", lambda context, fit: fit)
+    monkeypatch.setattr(windows, "begun_at", lambda score, values: score)
+    monkeypatch.setattr(windows, "unresolved", lambda fit, score: None)
+    found = windows._refitted(context, stage, None, change, 100)
+    assert (found is not None) == carried_on
+    if carried_on:
+        assert found[1].candidate.terms[0].values[names.index(law.alters[1])] == -4.0
 
 
 def data_of(y, kept=None):

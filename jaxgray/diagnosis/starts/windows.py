@@ -398,6 +398,10 @@ def _refitted(
     fit = refit(context.simulator, best, context.data, noise_model, **options)
     if fit is None:
         return None
+    left, before = (squares_left(context, one, noise_model) for one in (fit.candidate, stage.candidate))
+    if left > settings.MUCH_NEARER * before:
+        # Windows bend to another law, as damping does to dry friction, where the whole record does not.
+        return None
     end = refit_to_convergence(context, fit)
     score = begun_at(change.score, np.array(best.terms[-1].values, float))
     return None if unresolved(end, score) else (score, end)
