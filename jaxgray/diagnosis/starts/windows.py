@@ -381,7 +381,8 @@ def _direction(context: SearchContext, effect: AbstractEffect, place: Place, ent
 def _refitted(
     context: SearchContext, stage: Stage, noise_model: NoiseModel, change: _Change, size: int
 ) -> tuple[Score, Refit] | None:
-    """The refit of a law from what the windows say of it."""
+    """The refit of a law from what the windows say of it; None where most of the whole record's residual is left, or it
+    is another law there."""
     shape = change.score.shape
     names = [parameter.name for parameter in shape.effect.parameters]
     context.progress.stage(f"refitting {shape.effect.id} at {shape.place.name} from the windows")
