@@ -157,11 +157,10 @@ def energy_balance(model: MechanicalModel, record: Record, *, x0=None) -> Energy
 
 
 def steps_per_sample(model: MechanicalModel, sampling_time: float) -> int:
-    """Steps per sample [sampling_time in s] that follow the fastest of the model's modes: a power of two from 2 on, as
-    few programs are compiled for."""
+    """Even number of steps per sample [sampling_time in s] that follow the fastest of the model's modes."""
     A = model.drive.state_space(*map(np.asarray, (model.mass, model.damping, model.stiffness)), model.measured, 1.0).A
     fastest = float(np.max(np.abs(np.linalg.eigvals(np.asarray(A))))) * sampling_time
-    return int(min(2 ** max(np.ceil(np.log2(max(fastest / TURNED, 1.0))), 1), MOST_STEPS))
+    return int(min(2 * max(np.ceil(fastest / TURNED / 2), 1), MOST_STEPS))
 
 
 @stored(level=ONCE)
