@@ -120,7 +120,7 @@ def test_a_law_begins_with_what_all_windows_determine_of_it(monkeypatch):
     assert windows._fused(context, None, given, [*equations[:3], lambda candidate: None], course) is None
 
 
-@pytest.mark.parametrize(("left", "carried_on"), [(0.02, True), (0.7, False)])
+@pytest.mark.parametrize(("left", "carried_on"), [(0.02, True), (0.7, False), (np.nan, False)])
 def test_a_change_that_the_whole_record_does_not_show_is_not_carried_on(left, carried_on, monkeypatch):
     """Windows bend to dry friction, whose model of the whole record then leaves most of the residual."""
     law = by_id("stiffness_drift")
@@ -129,14 +129,15 @@ def test_a_change_that_the_whole_record_does_not_show_is_not_carried_on(left, ca
     change = windows._Change(types.SimpleNamespace(shape=shape), np.zeros(3), np.zeros(2), -4.0, None, 0.02, 500)
     setup = types.SimpleNamespace(matrices=lambda entries: (entries,), entries_of=lambda X: X)
     progress = types.SimpleNamespace(stage=lambda text: None)
-    context = types.SimpleNamespace(
-        simulator=types.SimpleNamespace(setup=setup), progress=progress, data=None, held=None
-    )
-    stage = types.SimpleNamespace(candidate=Candidate(np.zeros(3), (np.zeros(2),)))
-    monkeypatch.setattr(
-        windows, "refit", lambda simulator, begin, *rest, **more: types.SimpleNamespace(candidate=begin)
-    )
-    monkeypatch.setattr(windows, "squares_left", lambda context, one, noise: left if one.terms else 1.0)
+    simulator, data = types.SimpleNamespace(setup=setup), [data_of(np.ones((400, 1)))]
+    context = types.SimpleNamespace(simulator=simulator, progress=progress, data=data, held=None)
+    stage = types.SimpleNamespace(candidate=Candidate(np.zeros(3), (np.zeros(2),)), e=np.ones((400, 1)))
+
+    def refit(simulator, begin, data, noise_model, **options):
+        return types.SimpleNamespace(candidate=begin, residual=(left * stage.e,))
+
+    monkeypatch.setattr(windows, "refit", refit)
+    monkeypatch.setattr(windows, "squares_left", lambda context, one, noise: 1.0)
     monkeypatch.setattr(windows, "refit_to_convergence", lambda context, fit: fit)
     monkeypatch.setattr(windows, "begun_at", lambda score, values: score)
     monkeypatch.setattr(windows, "unresolved", lambda fit, score: None)

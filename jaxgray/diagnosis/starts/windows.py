@@ -28,8 +28,10 @@ from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import unresolved
 from ..estimation.normal_equations import Equations
 from ..model.candidate import Candidate, Data
+from ..model.free_run import overall
 from ..model.parameter_vector import Layout
 from ..model.simulator import natural_frequencies_hz
+from ..noise.floor import residual_rms
 from ..noise.whitening import NoiseModel, white_noise_model
 from ..screening.linearization import Stage
 from ..screening.score_test import Score, Screening
@@ -381,8 +383,8 @@ def _direction(context: SearchContext, effect: AbstractEffect, place: Place, ent
 def _refitted(
     context: SearchContext, stage: Stage, noise_model: NoiseModel, change: _Change, size: int
 ) -> tuple[Score, Refit] | None:
-    """The refit of a law from what the windows say of it; None where most of the whole record's residual is left, or it
-    is another law there."""
+    """The refit of a law from what the windows say of it; None where it is not `settings.MUCH_NEARER` to the
+    whole record than the model without it, or is another law there."""
     shape = change.score.shape
     names = [parameter.name for parameter in shape.effect.parameters]
     context.progress.stage(f"refitting {shape.effect.id} at {shape.place.name} from the windows")
@@ -399,8 +401,8 @@ def _refitted(
     fit = refit(context.simulator, best, context.data, noise_model, **options)
     if fit is None:
         return None
-    left, before = (squares_left(context, one, noise_model) for one in (fit.candidate, stage.candidate))
-    if left > settings.MUCH_NEARER * before:
+    left, before = (residual_rms(e, context.data[0]) for e in (fit.residual[0], stage.e))
+    if not overall(left, before) < settings.MUCH_NEARER:
         # Windows bend to another law, as damping does to dry friction, where the whole record does not.
         return None
     end = refit_to_convergence(context, fit)

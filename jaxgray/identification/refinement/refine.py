@@ -243,11 +243,10 @@ def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovati
         edge = differ(here.blocks, begun(LIFTS[0]).blocks)
         # At the edge the start itself may be better than what any steps make of it.
         ends = [at_start(here, criterion, first)] if edge else []
-        if edge and not innovations:
-            straight = _straight(begun(LIFTS[0]), criterion)
-            if straight is not None and straight.cost <= ends[0].cost + SLACK:
-                ends.append(straight)
-        if len(ends) < 2:
+        straight = _straight(begun(LIFTS[0]), criterion) if edge and not innovations else None
+        if straight is not None and straight.cost <= ends[0].cost + SLACK:
+            ends.append(straight)
+        else:
             for lift in LIFTS if edge else LIFTS[:1]:
                 known = None if edge else first
                 ends.append(cholesky_steps(begun(lift), criterion, first=known, near=NEAR_EDGE if edge else NEAR))
@@ -279,14 +278,14 @@ def _refined(start, batch, setting, structure, fixed, prior, *, offset, innovati
 
 
 def _straight(start: Iterate, criterion: Criterion) -> CholeskyEnd | None:
-    """Where steps over the cone end from beside its edge, as an end beside those of `cholesky_steps`, which crawl
-    along the edge; None where they do not settle."""
+    """Where few steps over the cone end from beside its edge, along which those of `cholesky_steps` crawl; None where
+    they do not settle, or nothing finite is left."""
     try:
         end = conic_steps(start, criterion, max_steps=STRAIGHT)
     except ComputationError:
         return None
     cost = likelihood_cost(end.products, criterion)
-    return CholeskyEnd(end.at, end.products, cost, end.steps) if end.converged else None
+    return CholeskyEnd(end.at, end.products, cost, end.steps) if end.converged and np.isfinite(cost) else None
 
 
 def _with_force_noise(at: Iterate, criterion: Criterion, batch: Batch, setting: Setting):
