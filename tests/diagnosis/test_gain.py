@@ -30,6 +30,17 @@ def test_gain_is_that_of_the_errors_and_sure_of_it_where_they_are_alike_all_alon
     assert gain.ci99_lower > 70
 
 
+def test_runs_are_compared_where_all_of_them_count():
+    rng = np.random.default_rng(3)
+    before, after = runs(rng, 0.4, 0.1)
+    # On its first half one of them is far off, and the other fits its first state there.
+    before[0].e[: SAMPLES // 2] *= 100
+    after = [FreeRun(after[0].e, after[0].e, np.arange(SAMPLES)[:, None] >= SAMPLES // 2)]
+    gain = gain_of(before, after, before, FLOOR, NAMES, held_out=True, rng=rng)
+    assert gain.percent == pytest.approx(75.0, abs=2.0)
+    assert gain.per_output["y1"] == pytest.approx((0.4, 0.1), rel=0.1)
+
+
 def test_the_interval_holds_a_gain_that_leaves_next_to_nothing():
     rng = np.random.default_rng(2)
     before, after = runs(rng, 4000.0, 0.1)

@@ -191,11 +191,11 @@ def line():
 
 
 @pytest.mark.parametrize("value", VALUES)
-@pytest.mark.parametrize("calls", [{2}, {2, 3}, {3}])
+@pytest.mark.parametrize("calls", [{1}, {3}, {3, 4}, {4}])
 def test_a_held_out_run_refuses_first_states_that_overflow(line, calls, value):
     rows, data, truth = line
     simulator = Fake(rows, calls, value)
-    found = free_run(simulator, Candidate(np.zeros(0), (np.zeros(2),), ()), data, share=0.5)
+    found = free_run(simulator, Candidate(np.zeros(0), (np.zeros(2),), ()), data)
     assert simulator.hits == len(calls)
     assert np.all(np.isfinite(found.simulated))
 

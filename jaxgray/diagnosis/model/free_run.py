@@ -12,9 +12,15 @@ from .parameter_vector import state_step
 from .reversals import decided_residual
 from .simulator import Simulator
 
-HEAD = 0.05
-"""Share of a held-out record on which its first state is estimated."""
+HEAD, MOST = 0.05, 0.5
+"""Share of a held-out record on which its first state is estimated, at least and at most."""
 
+BY_STATE = 0.1
+"""Mean square that the error of that state adds to the rest of the record, relative to the noise, from which the head
+is lengthened."""
+
+NOTHING = 1e-12
+"""Part of the information of a whole record on a first state that counts as none."""
 
 TURNS = 3
 """Of the fit of phases, each about the run before."""
@@ -37,26 +43,26 @@ class FreeRun:
         return np.sqrt(np.sum(np.where(self.kept, self.e, 0.0) ** 2, axis=0) / np.maximum(self.kept.sum(axis=0), 1))
 
 
-def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: int = 4, share: float = HEAD) -> FreeRun:
-    """Free run on a record that the fit has not seen, its first state estimated on the first few samples.
+def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: int = 4) -> FreeRun:
+    """Free run on a record that the fit has not seen, its first state estimated on the first few samples, or on more
+    where the motion remembers it for long.
 
     Gauss-Newton steps from rest and from the state of the model without its forces, shortened where they overshoot:
     from rest a body that dry friction holds shows nothing of where else it might have been. What has another phase in
     every record takes the amplitude and the phase that this one shows.
 
     **Arguments:** `simulator`; `candidate`, of which all else is kept; `data`; `steps`: of Gauss-Newton for the first
-    state; `share` of the record used for it.
+    state.
 
     **Returns:** a `FreeRun` that leaves the head out.
     """
     states = 2 * simulator.setup.dofs
     phased = tuple(term for term in candidate.terms if term.effect.own_phase)
     candidate = candidate.with_terms(term for term in candidate.terms if not term.effect.own_phase)
-    head = np.zeros_like(data.kept)
-    length = max(int(share * data.samples), 3 * states)
-    head[:length] = data.kept[:length]
     size = np.sqrt(np.mean(data.y[: data.samples] ** 2, axis=0))
     size = np.where(size > 0, size, 1.0)
+    starts, bare = [np.zeros(states)], simulator.without_forces(candidate)
+    head = _head(*((simulator, candidate) if bare is None else bare), data, size)
 
     def at(model: Candidate, x0, simulator: Simulator = simulator) -> tuple[float, Candidate]:
         here = Candidate(model.entries, (x0,), model.terms)
@@ -80,7 +86,6 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
             cost, here = found
         return cost, here
 
-    starts, bare = [np.zeros(states)], simulator.without_forces(candidate)
     coarse = simulator if bare is None else simulator.in_first_steps(bare[0].plant(bare[1]), data)
     if bare is not None:
         starts.append(descended(bare[1], starts[0], 1, bare[0])[1].x0[0])
@@ -98,6 +103,30 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
     y = simulator.run(here, data)
     e, _ = decided_residual(simulator, here, data, y)
     return FreeRun(y, e, data.kept & ~head)
+
+
+def _head(simulator: Simulator, linear: Candidate, data: Data, size: np.ndarray) -> np.ndarray:
+    """Samples of a record on which its first state is estimated: few, and twice as many as long as its error, to first
+    order that of a linear model, adds much to the rest. What nothing holds moves on for ever as it began."""
+    states = 2 * simulator.setup.dofs
+    rest = Candidate(linear.entries, (np.zeros(states),), linear.terms)
+    slopes = simulator.run_and_jacobian(rest, data)[1][: data.samples, :, len(linear.entries) :][:, :, :states]
+    length, head = max(int(HEAD * data.samples), 3 * states), np.zeros_like(data.kept)
+    if bounded(slopes):
+        slopes = np.where(data.kept[: data.samples, :, None], slopes / size[:, None], 0.0)
+        slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=(0, 1)), 1e-300)
+        while 2 * length <= MOST * data.samples and not _determined(slopes, data.kept, length):
+            length *= 2
+    head[:length] = data.kept[:length]
+    return head
+
+
+def _determined(slopes: Float[np.ndarray, "samples outputs states"], kept: np.ndarray, length: int) -> bool:
+    """Whether the first samples determine a first state so well that its error hardly adds to the rest."""
+    seen, later = (part.reshape(-1, slopes.shape[2]) for part in np.split(slopes, [length]))
+    # What they do not determine may be anything.
+    spread = np.linalg.inv(seen.T @ seen + NOTHING * np.eye(slopes.shape[2]))
+    return bool(np.sum((later @ spread) * later) <= BY_STATE * np.sum(kept[length : len(slopes)]))
 
 
 def _with_phases(simulator: Simulator, here: Candidate, terms: tuple[Term, ...], data: Data, size) -> Candidate:

@@ -4,6 +4,9 @@ Evidence grows with the samples, and so does the time of every trial: of long re
 where it shows nothing, one four times as long, up to the whole. What belongs to the clock of a record, such as a step
 of stiffness, is looked for in the whole.
 
+A body that nothing holds is searched as if its sensor had no offset, and once more with the offset of the linear fit
+where that leaves more than noise: a force along the position tells where the sensor has its zero.
+
 A strong effect takes the free run of the linear model out of phase with the record, and scores about it then name
 anything: there the trials of the force equation count, whatever the gate says.
 """
@@ -24,8 +27,10 @@ from ..estimation.gauss_newton import Refit, refit
 from ..model.baseline import Baseline
 from ..model.candidate import Candidate, Data
 from ..model.simulator import Simulator
+from ..noise.floor import more_than_noise
 from ..noise.whitening import white_noise_model
 from ..screening.linearization import screen_simulated
+from ..starts.first_states import without_free_offset
 from .forward import extend, select_forward
 from .state import SearchState, held_out_run
 from .swap import call_by_contact
@@ -67,7 +72,7 @@ def search(
 
     **Returns:** how far the search got, on the whole records; what it worked on.
     """
-    start, size = baseline.start, PART
+    start, size = without_free_offset(context, baseline.start), PART
     while not errors and context.data[0].samples > LONG * size:
         part, begun, where = _part(context, baseline, size)
         state = select_forward(part, begun, max_effects)
@@ -82,7 +87,12 @@ def search(
     if context.first_trials is not None and context.trials_at_once:
         missed = missed_share(context.simulator, start, context.data[0])
         context = dataclasses.replace(context, out_of_phase=missed >= settings.OUT_OF_PHASE)
-    state = select_forward(context, start, max_effects, errors=errors, max_errors=len(start.entries))
+    options = {"errors": errors, "max_errors": len(start.entries)}
+    state = select_forward(context, start, max_effects, **options)
+    if start is not baseline.start and not state.accepted and more_than_noise(state.stage.e, context.data[0]):
+        other = select_forward(context, baseline.start, max_effects, **options)
+        if not other.unexplained and any(accepted.stage == "model" for accepted in other.accepted):
+            state = other
     return state, Searched(context, state, None)
 
 
@@ -115,7 +125,8 @@ def _part(context: SearchContext, baseline: Baseline, size: int) -> tuple[Search
         states.append(initial_state(model, u, y, d.sampling_time, hold=d.hold)[0])
     begin, end = begins[0], min(begins[0] + size, context.data[0].samples)
     where = f"The search worked on samples {begin + 1} to {end} of {context.data[0].samples}"
-    return part, Candidate(baseline.start.entries, tuple(states)), where
+    begun = without_free_offset(part, Candidate(baseline.start.entries, tuple(states)))
+    return part, begun, where
 
 
 def _cut(context: SearchContext, size: int) -> tuple[SearchContext, list[int]]:

@@ -1,5 +1,6 @@
 """Where a refit can begin, besides the weights of the score test.
 
+first_states    the linear model itself, of a body that nothing holds
 user_model      wrong entries of the user's own model
 force_matching  a law that imitates the force of another
 lookalikes      confusable laws from the best one's end

@@ -68,6 +68,7 @@ class SensorDrift(AbstractOutputEffect):
     signature = "low frequencies, not filtered by the plant"
     reference = "Doebelin, Measurement Systems, 5th ed., McGraw-Hill 2003"
     places = "output"
+    resembles = "offset"
     tied_to_clock = True
 
     def shapes(self, scales):
