@@ -12,6 +12,7 @@ import jaxgray
 from jaxgray.diagnosis.screening.features import Shape
 from jaxgray.diagnosis.screening.score_test import Score, Screening
 from jaxgray.diagnosis.screening.shortlist import in_other_forms, shortlist
+from jaxgray.diagnosis.search import proposals
 from jaxgray.diagnosis.starts.lookalikes import as_likely_places, at_other_places, untried_look_alikes
 from jaxgray.mechanics.effects import by_id
 from jaxgray.mechanics.effects.base import Place
@@ -79,6 +80,43 @@ def test_a_look_alike_that_explains_nothing_to_first_order_is_tried_where_the_be
     assert names(untried_look_alikes(ids, best, heard, empty, set())) == [("cubic_stiffness", "y1")]
     # Whichever of the rankings it is in.
     assert names(untried_look_alikes(ids, best, heard, screening(silent, []), set())) == [("cubic_stiffness", "y1")]
+
+
+def attempt(name, delta_bic, contains=()):
+    shape = SimpleNamespace(effect=SimpleNamespace(id=name, contains=contains), place=SimpleNamespace(name="u1"))
+    return SimpleNamespace(name=(name, "u1"), delta_bic=delta_bic, score=SimpleNamespace(shape=shape))
+
+
+@pytest.mark.parametrize(
+    "delta_bic, ahead, expected",
+    [
+        (60.0, False, ["crosstalk", "limit", "saturation"]),
+        # It explains nothing; or the simpler law is ahead of it as it is.
+        (5.0, False, ["crosstalk", "limit"]),
+        (60.0, True, ["saturation", "crosstalk", "limit"]),
+    ],
+)
+def test_the_laws_inside_the_first_wide_law_of_a_round_are_refitted_from_its_end(
+    monkeypatch, delta_bic, ahead, expected
+):
+    ranked = [attempt("crosstalk", 900.0), attempt("limit", delta_bic, ("saturation",))]
+    ranked = [attempt("saturation", 950.0)] * ahead + ranked
+    simple = attempt("saturation", 61.0)
+
+    def inside(wide, *_):
+        return [[simple.score]] if wide.score.shape.effect.contains else []
+
+    monkeypatch.setattr(proposals, "contained_laws", inside)
+    monkeypatch.setattr(proposals, "refit_look_alikes", lambda *_: [simple])
+    monkeypatch.setattr(proposals, "compared", lambda context, stage, attempts: attempts)
+    assert [one.name[0] for one in proposals.narrowed(None, None, ranked, None, None)] == expected
+
+
+def test_a_law_knows_its_values_under_the_names_of_those_that_it_contains():
+    limit = by_id("speed_force_limit")
+    values = limit.named_values(np.array([2.0, 0.5, 1.0]))
+    assert values == {"u0": 2.0, "c": 0.5, "form": 1.0, "limit": 2.0}
+    assert np.array_equal(limit.widened(np.array([9.0, 0.5, 1.0]), {"limit": values["limit"]}), [2.0, 0.5, 1.0])
 
 
 def test_a_law_begins_in_each_of_its_forms_at_its_own_place():

@@ -235,7 +235,7 @@ def _from_wider(
             continue
         context.progress.stage(f"refitting {name[0]} at {name[1]}")
         last, shape = fit.candidate.terms[-1], score.shape.term(score.weights)
-        known = dict(zip((p.name for p in last.effect.parameters), last.values))
+        known = last.effect.named_values(last.values)
         values = [known.get(p.name, value) for p, value in zip(shape.effect.parameters, shape.values)]
         term = Term(shape.effect, shape.place, shape.effect.bounded(np.array(values, float)))
         begin = fit.candidate.with_terms((*fit.candidate.terms[:-1], term))
@@ -279,7 +279,7 @@ def _beyond(context: SearchContext, base: _Base, scores: list[Score]) -> tuple[S
     name = _name(scores[0])
     context.progress.stage(f"refitting {name[0]} at {name[1]}")
     last = simple.candidate.terms[-1]
-    known = dict(zip((p.name for p in last.effect.parameters), last.values))
+    known = last.effect.named_values(last.values)
     found = []
     for score in scores:
         shape = score.shape.term(score.weights)

@@ -126,7 +126,7 @@ def _about(
     if best is None or not problem.follow(best.y):
         return None
     ended = best.candidate.terms[-1]
-    ends = dict(zip((p.name for p in ended.effect.parameters), map(float, ended.values)))
+    ends = ended.effect.named_values(ended.values)
     values = [ends.get(p.name, float(value)) for p, value in zip(law.effect.parameters, law.values)]
     term = Term(law.effect, law.place, law.effect.bounded(np.array(values)))
     there = dataclasses.replace(context, simulator=best.linear, data=list(best.data))

@@ -19,13 +19,14 @@ from ..model.held_out_gain import gain_of
 from ..screening.flexible_force import FlexibleForce
 from ..screening.linearization import screen_simulated
 from ..screening.score_test import Score
-from ..starts.equation_error import force_equation_finds, from_forces
+from ..starts.equation_error import force_equation_finds
 from ..starts.residual_modes import hidden_modes
 from ..starts.user_model import beside_laws, wrong_entries
 from .acceptance import Evidence, floor_of, tested
 from .backward import prune
 from .confusable import alike, commonest_first, look_alikes, needless, resemble
 from .proposals import (
+    by_forces,
     closer_screening,
     given_up,
     refitted,
@@ -128,14 +129,14 @@ def _round(context: SearchContext, state: SearchState, left: int, searched: tupl
     state.unexplained = screening.fires
     if context.out_of_phase and not state.stage.candidate.terms and force_equation_finds(context):
         state.unexplained = True
-        first = from_forces(context, state.stage, screening) if left > 0 else []
+        first = by_forces(context, state.stage, screening) if left > 0 else []
         return 1 if _accepted(context, state, first, Move.FORCE_EQUATION) else None
     quiet = not (_tried_by_forces(context, state, left) or screening.fires or strong(screening))
     # A run out of phase shows no entry to first order, and all that it leaves passes for noise at the forces.
     if quiet and not wrong_entries(context, state.stage, screening, least=settings.CLEAR_DELTA_BIC):
         found = left > 0 and (
             _accepted(context, state, hidden_modes(context, state.stage, screening), Move.HIDDEN_MODE)
-            or _accepted(context, state, from_forces(context, state.stage, screening), Move.FORCE_EQUATION)
+            or _accepted(context, state, by_forces(context, state.stage, screening), Move.FORCE_EQUATION)
         )
         return 1 if found else None
     if left <= 0:
@@ -301,7 +302,7 @@ def _compared_later(context: SearchContext, state: SearchState, attempt: Attempt
     contains, with its own values, what explained more to first order, and what is easily taken for it. Begun where the
     score test has it."""
     found, term = [], attempt.fit.candidate.terms[-1]
-    known, own = state.screening.best_by_place(), dict(zip((p.name for p in term.effect.parameters), term.values))
+    known, own = state.screening.best_by_place(), term.effect.named_values(term.values)
     names = [(law, term.place.name) for law in (*term.effect.becomes, *term.effect.contains)]
     most = known[attempt.name].delta_bic if attempt.name in known else np.inf
     ahead = [(name, score.shape.effect) for name, score in known.items() if score.delta_bic > most]

@@ -56,7 +56,7 @@ def refitted(context: SearchContext, state: SearchState, screening: Screening, c
             near = as_likely_places(ranked[0], screening, closer)
             late += refit_at_other_places(context, stage, ranked[0], elsewhere, near)
         ranked = _better_ones(compared(context, stage, ranked + late)) if late else ranked
-    ranked = _narrowed(context, stage, ranked, screening, closer)
+    ranked = narrowed(context, stage, ranked, screening, closer)
     state.tried |= {attempt.name: attempt.fit for attempt in ranked}
     return ranked
 
@@ -80,14 +80,24 @@ def _look_alikes_tried(
     return late, tried, behind
 
 
-def _narrowed(
+def narrowed(
     context: SearchContext, stage: Stage, ranked: list[Attempt], screening: Screening, closer: Screening
 ) -> list[Attempt]:
-    """The ranking, the laws that the best one contains refitted from its end as well: its advantage over them
-    may be only a better optimum."""
-    inside = contained_laws(ranked[0], screening, closer) if ranked else []
-    again = refit_look_alikes(context, ranked[0], inside, []) if inside else []
-    return _better_ones(compared(context, stage, ranked + again)) if again else ranked
+    """The ranking, the laws that the best one contains refitted from its end as well: its advantage over them may be
+    only a better optimum. The best of those that contain any which are not ahead of it: the very best may not hold."""
+    for k, attempt in enumerate(ranked):
+        inside, ahead = contained_laws(attempt, screening, closer), {one.name for one in ranked[:k]}
+        inside = [one for one in inside if (one[0].shape.effect.id, one[0].shape.place.name) not in ahead]
+        if inside and attempt.delta_bic >= settings.MIN_DELTA_BIC:
+            again = refit_look_alikes(context, attempt, inside, [])
+            return _better_ones(compared(context, stage, ranked + again)) if again else ranked
+    return ranked
+
+
+def by_forces(context: SearchContext, stage: Stage, screening: Screening) -> list[Attempt]:
+    """What the force equation finds first, as `from_forces`, beside the laws that it contains: those of an input are
+    none of its own."""
+    return narrowed(context, stage, from_forces(context, stage, screening), screening, screening)
 
 
 def _better_ones(ranked: list[Attempt]) -> list[Attempt]:

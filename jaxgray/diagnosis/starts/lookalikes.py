@@ -140,7 +140,7 @@ def _from_best(
     """A first refit from where the best one's ended: parameters of the same name begin with the same values, and with
     those of each score's own shape."""
     last, found = best.fit.candidate.terms[-1], None
-    known = dict(zip((p.name for p in last.effect.parameters), last.values))
+    known = last.effect.named_values(last.values)
     options = {"held": context.held, "max_steps": 10, "tolerance": ROUGH, "abandon": abandon}
     for score in scores:
         shape = score.shape.term(score.weights)

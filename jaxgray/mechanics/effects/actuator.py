@@ -362,6 +362,9 @@ class SpeedForceLimit(AbstractForceEffect):
     def widened(self, p, simple):
         return self.bounded([simple.get("limit", p[0]), *p[1:]])
 
+    def named_values(self, p):
+        return super().named_values(p) | {"limit": float(p[0])}
+
     def force(self, p, here, z):
         most = jnp.maximum(p[0] - p[1] * jnp.abs(here.v), 0.0)
         low = jnp.where(p[2] < 0.5, -most, -p[0] - p[1] * here.v)

@@ -174,6 +174,10 @@ class AbstractEffect(eqx.Module):
         of `simple`, everything else those of `p`."""
         return self.bounded([simple.get(parameter.name, value) for parameter, value in zip(self.parameters, p)])
 
+    def named_values(self, p: np.ndarray) -> dict[str, float]:
+        """Values by name, under the names of this law and of those that it `contains`."""
+        return {parameter.name: float(value) for parameter, value in zip(self.parameters, p)}
+
     def unresolved(self, p: np.ndarray, scales: Scales) -> str | None:
         """Why the law is another one at these values, as far as a record can show: one clause for the reader, or None
         (default). `p`: parameter vector; `scales`: sizes of the record at the place."""
