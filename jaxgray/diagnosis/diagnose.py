@@ -425,7 +425,10 @@ def _assembled(
     start_run = FreeRun(state.start.motion.y, state.start.e, data.kept)
     last_run = FreeRun(state.stage.motion.y, state.stage.e, data.kept)
     errors = None if identification is None else identification.standard_errors
-    base = summary_of(baseline.model, errors, start_run, state.baseline_runs, records, held)
+    # Where nothing holds the body, the search begins with another one.
+    moved = not np.array_equal(state.start.candidate.entries, baseline.start.entries)
+    begun = model_of(state.start.candidate, baseline.model, setup) if moved else baseline.model
+    base = summary_of(begun, errors, start_run, state.baseline_runs, records, held)
     base_excess = overall(residual_rms(state.start.e, data), floor)
     excess = overall(residual_rms(state.stage.e, data), floor)
     findings = list(findings_of(context, state, records[0]))
@@ -435,7 +438,7 @@ def _assembled(
         mended = model_of(state.fit.candidate, baseline.model, setup)
         spread = matrix_errors(state.fit, setup)
         extended = summary_of(mended, spread, last_run, state.runs, records, held)
-        shifts = shifts_of(baseline.model, mended, spread)
+        shifts = shifts_of(begun, mended, spread)
         if state.runs:
             # What is tied to the clock of the fit does not show on held-out data.
             held_out = any(accepted.gain.held_out for accepted in state.accepted)

@@ -55,23 +55,28 @@ def test_a_constant_force_on_it_is_no_spring_that_is_stretched_for_miles():
 @pytest.mark.parametrize(
     "left, laws, unexplained, begun",
     [
-        (True, ("model", "record"), False, "as given"),
-        (True, ("model",), True, "anywhere"),
-        (True, ("record",), False, "anywhere"),
-        (False, ("model",), False, "anywhere"),
+        ((True, False), ("model", "record"), False, "as given"),
+        ((True, True), ("model",), False, "anywhere"),
+        ((True, False), ("model",), True, "anywhere"),
+        ((True, False), ("record",), False, "anywhere"),
+        ((False, False), ("model",), False, "anywhere"),
     ],
 )
 def test_laws_of_position_may_tell_where_the_encoder_has_its_zero(monkeypatch, left, laws, unexplained, begun):
     """Searched from the model that may stand anywhere and, where that leaves more than noise, from the one with the
     offset that was fitted: laws of that one count if they mend the model and leave nothing."""
     states = {
-        "anywhere": SimpleNamespace(accepted=[], unexplained=False, stage=SimpleNamespace(e=None)),
-        "as given": SimpleNamespace(accepted=[SimpleNamespace(stage=one) for one in laws], unexplained=unexplained),
+        "anywhere": SimpleNamespace(accepted=[], unexplained=False, stage=SimpleNamespace(e=left[0])),
+        "as given": SimpleNamespace(
+            accepted=[SimpleNamespace(stage=one) for one in laws],
+            unexplained=unexplained,
+            stage=SimpleNamespace(e=left[1]),
+        ),
     }
     starts = {name: SimpleNamespace(entries=(), name=name) for name in states}
     monkeypatch.setattr(parts, "without_free_offset", lambda context, start: starts["anywhere"])
     monkeypatch.setattr(parts, "select_forward", lambda context, start, most, **more: states[start.name])
-    monkeypatch.setattr(parts, "more_than_noise", lambda e, data: left)
+    monkeypatch.setattr(parts, "more_than_noise", lambda e, data: e)
     context = SimpleNamespace(data=[SimpleNamespace(samples=100)], first_trials=None)
     state, _ = parts.search(context, SimpleNamespace(start=starts["as given"]), 3)
     assert state is states[begun]

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..estimation.context import SearchContext
 from ..estimation.multistart import first_fit
-from ..model.free_run import free_run, overall
+from ..model.free_run import free_run, on_the_same, overall
 from ..screening.flexible_force import FlexibleForce
 
 
@@ -29,8 +29,8 @@ def explainable_share(context: SearchContext, state, floor: np.ndarray) -> float
     def excess(runs):
         return float(np.mean([overall(run.rmse, floor) ** 2 for run in runs])) - 1.0
 
-    before = excess(state.baseline_runs)
-    after = excess([free_run(context.simulator, fit.candidate, d) for d in context.validation])
+    runs = [free_run(context.simulator, fit.candidate, d) for d in context.validation]
+    before, after = map(excess, on_the_same(state.baseline_runs, runs))
     if not (np.isfinite(after) and before > 0):
         return None
     return float(np.clip((before - after) / before, 0.0, 1.0))

@@ -46,7 +46,7 @@ def baseline_of(
     and laws all do.
 
     The first states are those that go with a constant output offset; the offset itself stays in the residual, where
-    it is a finding.
+    it is a finding (but of a body that nothing holds: `starts.first_states`).
 
     **Arguments:** `records`; `identification` or `model`.
 

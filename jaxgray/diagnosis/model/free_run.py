@@ -1,5 +1,6 @@
 """A free run over data and its error: the first state is fitted to their head, phases of their own to all of them."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,7 @@ HEAD, MOST = 0.05, 0.5
 """Share of a held-out record on which its first state is estimated, at least and at most."""
 
 BY_STATE = 0.1
-"""Mean square that the error of that state adds to the rest of the record, relative to the noise, from which the head
-is lengthened."""
+"""Variance that the error of that state may add to the rest of the record, relative to that of the noise."""
 
 NOTHING = 1e-12
 """Part of the information of a whole record on a first state that counts as none."""
@@ -76,7 +76,7 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
             y, J = simulator.run_and_jacobian(here, data)
             e = np.where(head, data.y - y, 0.0)
             slopes = J[:, :, len(here.entries) :][:, :, :states]
-            if not (np.all(np.isfinite(e)) and np.all(np.isfinite(slopes[head]))):
+            if not bounded(e, slopes[head]):
                 break
             change = state_step(e, slopes, head, size)
             trials = (at(model, here.x0[0] + factor * change, simulator) for factor in SHORTENED)
@@ -106,8 +106,11 @@ def free_run(simulator: Simulator, candidate: Candidate, data: Data, *, steps: i
 
 
 def _head(simulator: Simulator, linear: Candidate, data: Data, size: np.ndarray) -> np.ndarray:
-    """Samples of a record on which its first state is estimated: few, and twice as many as long as its error, to first
-    order that of a linear model, adds much to the rest. What nothing holds moves on for ever as it began."""
+    """Samples from which the first state is estimated: `HEAD` of the record, doubled up to `MOST` while the error of
+    that state adds more than `BY_STATE` to the rest. What nothing holds moves on for ever as it began.
+
+    To first order, of a linear model, with noise in proportion to the size of each output.
+    """
     states = 2 * simulator.setup.dofs
     rest = Candidate(linear.entries, (np.zeros(states),), linear.terms)
     slopes = simulator.run_and_jacobian(rest, data)[1][: data.samples, :, len(linear.entries) :][:, :, :states]
@@ -164,6 +167,12 @@ def _of_one_record(term: Term) -> list[int]:
 def overall(rmse: Float[np.ndarray, " outputs"], floor: Float[np.ndarray, " outputs"]) -> float:
     """RMS over outputs of the error in units of the noise floor."""
     return float(np.sqrt(np.mean((rmse / floor) ** 2)))
+
+
+def on_the_same(*every: list[FreeRun]) -> tuple[list[FreeRun], ...]:
+    """Sets of runs, each over the samples that count in all of them."""
+    kept = [np.logical_and.reduce([run.kept for run in runs]) for runs in zip(*every)]
+    return tuple([dataclasses.replace(run, kept=both) for run, both in zip(one, kept)] for one in every)
 
 
 def rms_of(runs: list[FreeRun]) -> np.ndarray:

@@ -6,8 +6,6 @@ remembers long: short pieces would make the interval three times too narrow. Wha
 within one, shows in the difference of this gain to the gain on the data of the fit.
 """
 
-import dataclasses
-
 import numpy as np
 import scipy.special
 from jaxtyping import Float, Int
@@ -15,7 +13,7 @@ from jaxtyping import Float, Int
 from ...numerics.responses.filters import white_part
 from .. import settings
 from ..findings import Gain
-from .free_run import FreeRun
+from .free_run import FreeRun, on_the_same
 
 SHORT = 40
 """Pieces that the bootstrap draws from."""
@@ -55,7 +53,7 @@ def gain_of(
 
     **Reference:** Künsch, *The jackknife and the bootstrap for general stationary observations* (1989).
     """
-    runs = _on_the_same(before, after, baseline)
+    runs = on_the_same(before, after, baseline)
     short = _Pieces(runs, floor, max(SHORT // len(before), 8))
     draws = short.percent(rng.integers(0, len(short), (RESAMPLES, len(short))))
     everything = np.arange(len(short))
@@ -63,16 +61,10 @@ def gain_of(
     percent = float(short.percent(everything))
     between = np.zeros(2)
     if held_out and seen is not None:
-        fitted = _Pieces(_on_the_same(*seen), floor, 1)
+        fitted = _Pieces(on_the_same(*seen), floor, 1)
         between = np.abs(fitted.kept(np.arange(len(fitted))) - short.kept(everything))
     interval = tuple(np.quantile(draws, INTERVAL).tolist()) if once else _interval(runs, floor, between)
     return Gain(pairs, percent, interval, float(np.quantile(draws, settings.HELD_OUT_RISK / trials)), held_out)
-
-
-def _on_the_same(*every: list[FreeRun]) -> tuple[list[FreeRun], ...]:
-    """Sets of runs, each over the samples that count in all of them."""
-    kept = [np.logical_and.reduce([run.kept for run in runs]) for runs in zip(*every)]
-    return tuple([dataclasses.replace(run, kept=both) for run, both in zip(one, kept)] for one in every)
 
 
 class _Pieces:

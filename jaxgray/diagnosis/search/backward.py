@@ -124,7 +124,7 @@ def _sum_of(wide: Term, simple: Term) -> Term:
     """The wider law with the part of the simpler one as well, or nearly: where a refit of it alone begins."""
     values = np.array(wide.values, dtype=float)
     sizes = [p.amplitude for p in wide.effect.parameters]
-    known = {p.name: float(value) for p, value in zip(simple.effect.parameters, simple.values)}
+    known = simple.effect.named_values(simple.values)
     part = wide.effect.widened(np.where(sizes, 0.0, values), known)
     return Term(wide.effect, wide.place, wide.effect.bounded(np.where(sizes, values + part, values)))
 

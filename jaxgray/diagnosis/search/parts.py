@@ -4,8 +4,8 @@ Evidence grows with the samples, and so does the time of every trial: of long re
 where it shows nothing, one four times as long, up to the whole. What belongs to the clock of a record, such as a step
 of stiffness, is looked for in the whole.
 
-A body that nothing holds is searched as if its sensor had no offset, and once more with the offset of the linear fit
-where that leaves more than noise: a force along the position tells where the sensor has its zero.
+A body that nothing holds is searched as if its sensor had no offset. Where more than noise is left, it is searched once
+more with the offset of the linear fit: a force along the position tells where the sensor has its zero.
 
 A strong effect takes the free run of the linear model out of phase with the record, and scores about it then name
 anything: there the trials of the force equation count, whatever the gate says.
@@ -89,9 +89,10 @@ def search(
         context = dataclasses.replace(context, out_of_phase=missed >= settings.OUT_OF_PHASE)
     options = {"errors": errors, "max_errors": len(start.entries)}
     state = select_forward(context, start, max_effects, **options)
-    if start is not baseline.start and not state.accepted and more_than_noise(state.stage.e, context.data[0]):
+    if start is not baseline.start and more_than_noise(state.stage.e, context.data[0]):
         other = select_forward(context, baseline.start, max_effects, **options)
-        if not other.unexplained and any(accepted.stage == "model" for accepted in other.accepted):
+        mended = any(accepted.stage == "model" for accepted in other.accepted)
+        if mended and not (other.unexplained or more_than_noise(other.stage.e, context.data[0])):
             state = other
     return state, Searched(context, state, None)
 

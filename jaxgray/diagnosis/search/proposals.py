@@ -83,8 +83,8 @@ def _look_alikes_tried(
 def narrowed(
     context: SearchContext, stage: Stage, ranked: list[Attempt], screening: Screening, closer: Screening
 ) -> list[Attempt]:
-    """The ranking, the laws that the best one contains refitted from its end as well: its advantage over them may be
-    only a better optimum. The best of those that contain any which are not ahead of it: the very best may not hold."""
+    """The ranking, with simpler laws refitted from the end of a law that contains them: its lead may be only a better
+    optimum. Done for the first law in the ranking that contains one which is not ahead of it: the best may not hold."""
     for k, attempt in enumerate(ranked):
         inside, ahead = contained_laws(attempt, screening, closer), {one.name for one in ranked[:k]}
         inside = [one for one in inside if (one[0].shape.effect.id, one[0].shape.place.name) not in ahead]
@@ -95,8 +95,8 @@ def narrowed(
 
 
 def by_forces(context: SearchContext, stage: Stage, screening: Screening) -> list[Attempt]:
-    """What the force equation finds first, as `from_forces`, beside the laws that it contains: those of an input are
-    none of its own."""
+    """The first law of the force equation and its rivals (`from_forces`), with the simpler laws that they contain. The
+    force equation itself knows no law of an input."""
     return narrowed(context, stage, from_forces(context, stage, screening), screening, screening)
 
 

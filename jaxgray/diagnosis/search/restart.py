@@ -12,7 +12,7 @@ from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import moving
 from ..estimation.significance import evidence
 from ..model.candidate import Candidate
-from ..model.free_run import overall, rms_of
+from ..model.free_run import on_the_same, overall, rms_of
 from ..model.held_out_gain import gain_of
 from ..noise.floor import more_than_noise, residual_rms
 from ..noise.whitening import white_noise_model
@@ -72,7 +72,7 @@ def likelier(context: SearchContext, new: SearchState, old: SearchState) -> bool
         cost, rows = evidence(*moving(context, state.fit), context.data[0], noise_model)
         return float(rows * np.log(max(cost, 1e-300))) + sum(one.attempt.penalty for one in state.accepted)
 
-    farther = bool(context.validation) and overall(rms_of(new.runs), rms_of(old.runs)) > 1.0
+    farther = bool(context.validation) and overall(*map(rms_of, on_the_same(new.runs, old.runs))) > 1.0
     return not farther and criterion(old) - criterion(new) > settings.MIN_DELTA_BIC
 
 

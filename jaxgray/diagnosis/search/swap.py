@@ -15,7 +15,7 @@ from ..estimation.gauss_newton import Refit, refit
 from ..estimation.multistart import Attempt, called, called_by_contact, moving, renamed, unresolved
 from ..estimation.significance import at_bound, evidence, significance
 from ..findings import NOT_SIMULATED, Move, Reason, Refusal, Rejected
-from ..model.free_run import overall
+from ..model.free_run import on_the_same, overall
 from ..model.parameter_vector import Layout
 from ..noise.whitening import NoiseModel
 from .confusable import alike, needless
@@ -84,7 +84,8 @@ def _lost(context: SearchContext, state: SearchState, fit: Refit, farthest: floa
     much: what the data of the fit hardly determine went astray on the way."""
     farthest = 1 / settings.MUCH_NEARER if farthest is None else farthest
     runs = [held_out_run(context, fit.candidate, d) for d in context.validation]
-    return not all(bounded(new.e) and overall(new.rmse, old.rmse) < farthest for new, old in zip(runs, state.runs))
+    pairs = zip(*on_the_same(runs, state.runs))
+    return not all(bounded(new.e) and overall(new.rmse, old.rmse) < farthest for new, old in pairs)
 
 
 def _class_again(context: SearchContext, state: SearchState, k: int) -> None:

@@ -175,7 +175,7 @@ class AbstractEffect(eqx.Module):
         return self.bounded([simple.get(parameter.name, value) for parameter, value in zip(self.parameters, p)])
 
     def named_values(self, p: np.ndarray) -> dict[str, float]:
-        """Values by name, under the names of this law and of those that it `contains`."""
+        """Values by name; laws that contain others with other names, or signs, add those."""
         return {parameter.name: float(value) for parameter, value in zip(self.parameters, p)}
 
     def unresolved(self, p: np.ndarray, scales: Scales) -> str | None:

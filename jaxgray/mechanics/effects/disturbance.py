@@ -72,5 +72,8 @@ class ForceStep(AbstractForceEffect):
     def unresolved(self, p, scales):
         return at_an_end(float(p[1]), scales.times)
 
+    def named_values(self, p):
+        return super().named_values(p) | {"f0": -float(p[0])}
+
     def force(self, p, here, z):
         return -p[0] * step_at(here.t, p[1], p[2])
