@@ -49,7 +49,8 @@ provisional   move 3
 backward      pruning
 swap          accepted laws compared once more beside later ones; the last refits of all
 parts         the search on a part of a long record, followed by a refit on all of it; candidates from the force
-              equation (`diagnosis.equation_error`) where free runs lose phase with the record
+              equation (`diagnosis.equation_error`) where free runs lose phase with the record; where nothing holds a
+              body, a search without an output offset, then one with it if more than noise is left
 restart       the accepted model refitted once more under white noise; the refit counts if its residual is smaller
 
 To add an effect: a class in the file of its family in `mechanics.effects`, which declares what it `contains` and

@@ -21,12 +21,12 @@ def without_free_offset(context: SearchContext, start: Candidate) -> Candidate:
     """The model that a search begins with, refitted without an offset of the outputs where its free runs are wrong
     mainly by a constant.
 
-    Taken if it leaves less than twice what is left beside the constant, or if that is larger than any reading: a spring
-    that is stretched so far is a constant force.
+    Taken if it leaves less than twice what is left beside the constant, or if the constant is larger than any reading
+    of its output: a spring that is stretched so far is a constant force.
 
     **Arguments:** `context`; `start`: entries and first states, no terms.
 
-    **Returns:** the refitted candidate, or `start` itself.
+    **Returns:** the refitted candidate, or `start` itself, as where a run overflows.
     """
     simulator, data = context.simulator, context.data
     runs = [np.where(d.kept, d.y - simulator.run(start, d, k), 0.0) for k, d in enumerate(data)]
@@ -48,12 +48,13 @@ def without_free_offset(context: SearchContext, start: Candidate) -> Candidate:
 
 
 def _much_more(data: list[Data], one, other) -> bool:
-    """Whether one residual is more than twice as large as another at some output of some record."""
+    """Whether some output of some record has more than twice as much left in `one` as in `other`; both: residuals
+    (samples × outputs), one per record."""
     pairs = [[residual_rms(e, d) for e in both] for *both, d in zip(one, other, data)]
     return any(np.any(large * settings.MUCH_NEARER > small) for large, small in pairs)
 
 
 def _beyond(data: list[Data], constants: list[np.ndarray]) -> bool:
-    """Whether some constant is larger than any reading of its output."""
+    """Whether some constant, one per output of every record, is larger than any reading there."""
     most = [np.max(np.abs(d.y), axis=0) for d in data]
     return any(np.any((np.abs(one) > largest) & (largest > 0)) for one, largest in zip(constants, most))
